@@ -1,0 +1,254 @@
+"""Chooses an OpenCL device that has been seen to work, and holds its context, queue and programs."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from amslicer.cache import read_cached, write_cached
+from amslicer.errors import DeviceError, UsageError
+from amslicer.program import build
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    import numpy as np
+    from numpy.typing import NDArray
+
+VERDICTS = "devices.json"  # in the cache: what the probes said
+PROBE_SECONDS = 180  # a cold compiler on a loaded machine takes several seconds; a hanging driver never ends
+INSTALL_HINT = (
+    "install one: `sudo apt-get install pocl-opencl-icd` (Debian, Ubuntu), `sudo dnf install pocl` (Fedora), "
+    "`conda install -c conda-forge pocl` (conda), or your GPU vendor's driver; then `amslicer devices --refresh`"
+)
+GROUP = 64  # work-items per group of the simple kernels: fits every device
+# How PoCL is told its number of threads; the first is the name up to PoCL 4, the second since.
+POCL_THREADS = ("POCL_MAX_PTHREAD_COUNT", "POCL_CPU_MAX_CU_COUNT")
+
+
+@dataclass(frozen=True)
+class DeviceInfo:
+    """One OpenCL device, and what its probe said ("ok", a reason, or "" when it was not tried)."""
+
+    platform_index: int
+    device_index: int
+    platform: str
+    name: str
+    version: str
+    type: str
+    compute_units: int
+    verdict: str = ""
+
+    @property
+    def works(self) -> bool:
+        """Whether the probe kernel compiled, ran and gave the right answer."""
+        return self.verdict == "ok"
+
+    @property
+    def label(self) -> str:
+        """Identifies the device and its driver, as recorded in manifests."""
+        return f"{self.platform}: {self.name} ({self.version})"
+
+
+def list_devices(*, refresh: bool = False) -> list[DeviceInfo]:
+    """All OpenCL devices, each with its probe's verdict; verdicts are remembered per driver version.
+
+    Args:
+        refresh: forget what was remembered and try every device again.
+    """
+    remembered = {} if refresh else _read_verdicts()
+    output = _run_probe([])
+    if output is None:
+        return []
+    found = []
+    for entry in json.loads(output[1] or "[]"):
+        device = DeviceInfo(**entry)
+        verdict = remembered.get(device.label)
+        if verdict != "ok":  # a failure may have been mended since: try again
+            verdict = _probe(device)
+        found.append(replace(device, verdict=verdict))
+    _write_verdicts({device.label: device.verdict for device in found})
+    return found
+
+
+def choose_device(substring: str | None = None) -> DeviceInfo:
+    """The first working device whose label contains `substring`; GPUs come before CPUs.
+
+    Raises:
+        DeviceError: none matches, or none of those that match works; the message says why.
+    """
+    devices = list_devices()
+    if not devices:
+        raise DeviceError("no OpenCL device was found on this machine", hint=INSTALL_HINT)
+    wanted = [d for d in devices if substring is None or substring.lower() in d.label.lower()]
+    if not wanted:
+        names = "; ".join(d.label for d in devices)
+        raise DeviceError(f"no OpenCL device matches --device '{substring}'", hint=f"there are: {names}")
+    working = sorted((d for d in wanted if d.works), key=lambda d: "gpu" not in d.type)
+    if not working:
+        reasons = "; ".join(f"{d.label}: {d.verdict}" for d in wanted)
+        raise DeviceError(f"no OpenCL device works ({reasons})", hint=INSTALL_HINT)
+    return working[0]
+
+
+class Device:
+    """An open OpenCL device: context, in-order queue, programs. Close it, or use it in a `with` statement.
+
+    Args:
+        substring: part of the device's label; None takes the first that works.
+        jobs: threads that a CPU device may use; None means all.
+    """
+
+    def __init__(self, substring: str | None = None, jobs: int | None = None) -> None:
+        if jobs is not None and jobs < 1:
+            raise UsageError(f"jobs must be at least 1, but is {jobs}")
+        self.info = choose_device(substring)
+        for name in POCL_THREADS:
+            if jobs is not None and "pyopencl" not in sys.modules:
+                os.environ[name] = str(jobs)
+        import pyopencl as cl
+
+        device = cl.get_platforms()[self.info.platform_index].get_devices()[self.info.device_index]
+        self._root = device
+        if jobs is not None and device.type & cl.device_type.CPU and device.max_compute_units > jobs:
+            device = device.create_sub_devices([cl.device_partition_property.BY_COUNTS, jobs, 0])[0]
+        self.device = device
+        self.context = cl.Context([device])
+        self.queue = cl.CommandQueue(self.context, device)
+        self._kernels: dict[tuple[str, str, tuple[tuple[str, int], ...]], Any] = {}
+
+    @property
+    def label(self) -> str:
+        """Identifies the device and its driver, whatever its number of threads."""
+        return self.info.label
+
+    @property
+    def is_cpu(self) -> bool:
+        """Whether the device is a CPU (work shapes follow this)."""
+        return "cpu" in self.info.type
+
+    @property
+    def vector_width(self) -> int:
+        """Native float vector width, 1 to 16."""
+        return int(min(16, max(1, self.device.native_vector_width_float)))
+
+    def kernel(self, file: str, name: str | None = None, **constants: int) -> Any:
+        """The kernel `name` (default: as the file) of cl/`file`.cl, built once with these constants."""
+        import pyopencl as cl
+
+        name = name or file
+        key = (file, name, tuple(sorted(constants.items())))
+        if key not in self._kernels:
+            self._kernels[key] = cl.Kernel(build(self.context, self.device, file, constants), name)
+        return self._kernels[key]
+
+    def run(self, kernel: Any, size: int | tuple[int, int], *arguments: Any) -> None:
+        """Enqueues a kernel over at least `size` work-items along x; the kernel ignores those beyond.
+
+        The work-group size is fixed: drivers such as PoCL compile anew for every size that they meet.
+        """
+        x, *rest = size if isinstance(size, tuple) else (size,)
+        padded = -(-x // GROUP) * GROUP
+        kernel(self.queue, (padded, *rest), (GROUP, *(1 for _ in rest)), *arguments)
+
+    def buffer(self, array: NDArray[Any]) -> Any:
+        """A read-only device copy of `array` (at least one byte long)."""
+        import numpy as np
+        import pyopencl as cl
+
+        array = np.ascontiguousarray(array)
+        if array.nbytes == 0:
+            return self.empty(4)
+        self._check_size(array.nbytes)
+        return cl.Buffer(self.context, cl.mem_flags.READ_ONLY | cl.mem_flags.COPY_HOST_PTR, hostbuf=array)
+
+    def empty(self, nbytes: int) -> Any:
+        """An uninitialised device buffer of `nbytes` bytes."""
+        import pyopencl as cl
+
+        self._check_size(nbytes)
+        return cl.Buffer(self.context, cl.mem_flags.READ_WRITE, max(nbytes, 4))
+
+    def zeros(self, nbytes: int) -> Any:
+        """A device buffer of zeros."""
+        import numpy as np
+        import pyopencl as cl
+
+        buffer = self.empty(nbytes)
+        cl.enqueue_fill_buffer(self.queue, buffer, np.uint8(0), 0, max(nbytes, 4))
+        return buffer
+
+    def read(self, buffer: Any, out: NDArray[np.generic]) -> None:
+        """Copies the start of `buffer` into the contiguous array `out` and waits for it."""
+        import pyopencl as cl
+
+        cl.enqueue_copy(self.queue, out, buffer)
+
+    def _check_size(self, nbytes: int) -> None:
+        limit = self.device.max_mem_alloc_size
+        if nbytes > limit:
+            raise DeviceError(
+                f"a buffer of {nbytes / 1e6:.0f} MB is needed, but '{self.info.name}' allows {limit / 1e6:.0f} MB",
+                hint="choose a coarser printer grid or another device (--device)",
+            )
+
+    def __enter__(self) -> Device:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Waits for the queue and lets go of the device."""
+        self.queue.finish()
+        self._kernels.clear()
+
+
+def _probe(device: DeviceInfo) -> str:
+    result = _run_probe([str(device.platform_index), str(device.device_index)])
+    if result is None:
+        return f"gave no answer within {PROBE_SECONDS} s"
+    code, stdout, stderr = result
+    if code == 0 and stdout.strip().endswith("ok"):
+        return "ok"
+    if code < 0:
+        return f"the driver ended the process (signal {-code})"
+    lines = [line for line in (stdout + "\n" + stderr).splitlines() if line.strip()]
+    telling = [line for line in lines if "error" in line.lower() or "wrong" in line.lower()]
+    return (telling or lines or [f"exit code {code}"])[-1].strip()[:300]
+
+
+def _run_probe(arguments: list[str]) -> tuple[int, str, str] | None:
+    """Runs the probe in a process of its own: (exit code, stdout, stderr), or None when it hangs."""
+    package = str(Path(__file__).resolve().parent.parent)
+    environment = dict(os.environ)
+    environment["PYTHONPATH"] = os.pathsep.join(filter(None, [package, environment.get("PYTHONPATH")]))
+    try:
+        done = subprocess.run(
+            [sys.executable, "-m", "amslicer.probe", *arguments],
+            capture_output=True,
+            text=True,
+            timeout=PROBE_SECONDS,
+            env=environment,
+            check=False,
+        )
+    except subprocess.TimeoutExpired:
+        return None
+    return done.returncode, done.stdout, done.stderr
+
+
+def _read_verdicts() -> dict[str, str]:
+    try:
+        content = json.loads(read_cached(VERDICTS) or b"{}")
+        return {str(key): str(value) for key, value in content.items()}
+    except (ValueError, AttributeError):
+        return {}
+
+
+def _write_verdicts(verdicts: dict[str, str]) -> None:
+    write_cached(VERDICTS, json.dumps(verdicts).encode())

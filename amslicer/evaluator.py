@@ -1,0 +1,126 @@
+"""Evaluates G on pixels with OpenCL: as rank-1 sums (fast), or kernel by kernel at each pixel (the readable form)."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from amslicer.tiles import TILE, TILE_LAYERS, TileLists, reach, tile_lists
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from amslicer.device import Device
+    from amslicer.grid import Grid
+    from amslicer.noise import Kernels
+
+    Floats = NDArray[np.float64]
+
+ROWS = 4  # pixel rows per work-item: with 8-float vectors, 8 accumulators of 16 registers
+BLOCK = 32
+# cl/tile.h: struct Axis
+AXIS = np.dtype([("offset", np.float32), ("wave", np.float32), ("tile", np.int32)])
+
+
+def work_shape(device: Device) -> dict[str, int]:
+    """The macros of cl/tile.h for a device, but for SLOTS."""
+    return {"TILE": TILE, "ROWS": ROWS, "BLOCK": BLOCK, "VECTOR": 16 if device.vector_width >= 16 else 8}
+
+
+class Evaluator:
+    """The kernels of a slab of layers, on the device, ready to give G for its layers.
+
+    Args:
+        device: an open device.
+        kernels: all kernels that reach the slab.
+        tiles: (T, 2) tiles to evaluate.
+        tile_normals: (T, 3) their reference normals.
+        grid: pixels and layers.
+        planar: 2D: the kernels do not know z.
+    """
+
+    def __init__(
+        self, device: Device, kernels: Kernels, tiles: NDArray[np.int32], tile_normals: Floats,
+        grid: Grid, *, planar: bool,
+    ) -> None:  # fmt: skip
+        self.device = device
+        self.kernels = kernels
+        self.planar = planar
+        self.grid = grid
+        self._reach = reach(kernels, 0, grid.pitch_mm[0]), reach(kernels, 1, grid.pitch_mm[1])
+        self.lists: TileLists = tile_lists(kernels, *self._reach, tiles, tile_normals)
+        shape = np.stack([kernels.decay, kernels.radius_mm], axis=-1).astype(np.float32)
+        self._shape = device.buffer(shape)
+        self._axes = [device.buffer(self._axis(a)) for a in (0, 1)]
+        self._lists = [device.buffer(a) for a in (self.lists.tiles, self.lists.starts, self.lists.entries)]
+        self._tables: list[Any] | None = None
+
+    @property
+    def floats_per_layer(self) -> int:
+        """Size of G of one layer: real and imaginary part of every pixel of every tile."""
+        return len(self.lists.tiles) * TILE * TILE * 2
+
+    def field(self, out: Any, first: int, count: int) -> None:
+        """Enqueues G of the layers first … first + count - 1 into `out`: float32 [layers][tiles][TILE rows][re, im][TILE columns]."""
+        if len(self.lists.tiles) == 0:
+            return
+        if self._tables is None:
+            self._tables = [self._table(a) for a in (0, 1)]
+        self.device.kernel("rank1", **self._constants())(
+            self.device.queue, (count, len(self.lists.tiles)), (1, 1), out, *self._lists,
+            *self._tables, *self._axes, self._along_z(first, count), np.uint32(len(self.kernels)),
+        )  # fmt: skip
+
+    def field_per_pixel(self, out: Any, first: int, count: int) -> None:
+        """The same G, each kernel's exponential, sine and cosine computed at each pixel."""
+        if len(self.lists.tiles) == 0:
+            return
+        self.device.kernel("per_pixel", **self._constants())(
+            self.device.queue, (TILE, TILE * len(self.lists.tiles), count), (TILE, 1, 1), out, *self._lists,
+            self._shape, *self._axes, self._along_z(first, count), np.uint32(len(self.kernels)),
+            np.float32(self.grid.pitch_mm[0]), np.float32(self.grid.pitch_mm[1]),
+        )  # fmt: skip
+
+    def _constants(self) -> dict[str, int]:
+        return {
+            **work_shape(self.device),
+            "SLOTS": max(self._reach[0].slots, self._reach[1].slots),
+        }  # fmt: skip
+
+    def _axis(self, axis: int) -> NDArray[Any]:
+        out = np.empty(len(self.kernels), AXIS)
+        out["offset"] = self._reach[axis].offset_mm
+        out["wave"] = self.kernels.wave[:, axis]
+        out["tile"] = self._reach[axis].first
+        return out
+
+    def _table(self, axis: int) -> Any:
+        """Enqueues the 1-D factors of all kernels along x (0) or y (1)."""
+        constants = self._constants()
+        slots, count = constants["SLOTS"], len(self.kernels)
+        table = self.device.empty(count * slots * 2 * TILE * 4)
+        if count:
+            kernel = self.device.kernel("tables", **constants)
+            pitch = np.float32(self.grid.pitch_mm[axis])
+            kernel(self.device.queue, (count,), (1,), table, self._axes[axis], self._shape, pitch)
+        return table
+
+    def _along_z(self, first: int, count: int) -> Any:
+        """Enqueues the factors along z of some layers, the random phase included: complex64 [layers][kernels]."""
+        # Heights count from the block of layers, not from the first layer asked for: float32 must round the same.
+        kernels, in_block = self.kernels, first % TILE_LAYERS
+        columns = (
+            self.grid.z_mm(first - in_block) - kernels.centre_mm[:, 2],
+            kernels.wave[:, 2],
+            kernels.phase,
+            kernels.decay,
+        )
+        factors = self.device.empty(8 * count * len(kernels))
+        if len(kernels):
+            self.device.run(
+                self.device.kernel("along_z"), (len(kernels), count), factors,
+                self.device.buffer(np.stack(columns, axis=-1).astype(np.float32)), self._shape,
+                np.uint32(len(kernels)), np.float32(self.grid.layer_mm), np.uint32(in_block), np.uint32(self.planar),
+            )  # fmt: skip
+        return factors

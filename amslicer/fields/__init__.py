@@ -1,0 +1,77 @@
+"""Painted fields: what a designer gives for ratio and orientation, sampled anywhere in the part.
+
+`SOURCES` is the closed list of field sources: a job file names a source by its key, and everything that
+lists them (validation, messages, documentation) reads this table. A new source is one file and one line.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated, Any
+
+from pydantic import Discriminator, Tag
+
+from amslicer.fields.constant import Constant, ConstantSampler
+from amslicer.fields.gradient import GradientSource
+from amslicer.fields.image import ImageSource
+from amslicer.fields.source import Frame, Inputs, Sampler, Source
+
+if TYPE_CHECKING:
+    from typing import TypeAlias
+
+SOURCES: dict[str, type[Source]] = {
+    "gradient": GradientSource,
+    "image": ImageSource,
+}
+# Sources of the job file's language that this version does not have yet.
+PLANNED = ("expression", "volume", "vertex", "distance", "points", "texture", "strokes", "mix")
+
+
+def source_name(value: Any) -> str | None:
+    """Which source a FIELD of the job file uses: a key of SOURCES, "constant", or None."""
+    if isinstance(value, Source):
+        return next(name for name, kind in SOURCES.items() if isinstance(value, kind))
+    if isinstance(value, int | float) and not isinstance(value, bool):
+        return "constant"
+    if isinstance(value, dict):
+        return next((key for key in value if key in SOURCES), None)
+    return None
+
+
+def describe_sources() -> str:
+    """What a FIELD can be, for messages."""
+    return "a number, " + ", ".join(f"{{{name}: …}}" for name in SOURCES)
+
+
+def open_field(spec: float | Source, frame: Frame, inputs: Inputs) -> Sampler:
+    """The sampler of a validated field specification over one part."""
+    if isinstance(spec, Source):
+        return spec.open(frame, inputs)
+    return ConstantSampler(float(spec))
+
+
+if TYPE_CHECKING:
+    FieldSpec: TypeAlias = float | Source
+else:
+    union = Annotated[Constant, Tag("constant")]
+    for _name, _kind in SOURCES.items():
+        union = union | Annotated[_kind, Tag(_name)]
+    FieldSpec = Annotated[
+        union,
+        Discriminator(
+            source_name,
+            custom_error_type="field_source",
+            custom_error_message=f"is not a field; a field is {describe_sources()}",
+        ),
+    ]
+
+__all__ = [
+    "PLANNED",
+    "SOURCES",
+    "FieldSpec",
+    "Frame",
+    "Inputs",
+    "Sampler",
+    "Source",
+    "open_field",
+    "source_name",
+]

@@ -1,0 +1,34 @@
+"""A field that is the same everywhere: a number in the job file."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from amslicer.fields.source import Number
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    Floats = NDArray[np.float64]
+
+Constant = Number
+
+
+@dataclass(frozen=True)
+class ConstantSampler:
+    """The same value at every point."""
+
+    value: float
+    varies: tuple[bool, bool, bool] = (False, False, False)
+    texels: None = None
+
+    def scalar(self, x: Floats, y: Floats, z: Floats) -> Floats:
+        """The value, as a scalar array that broadcasts."""
+        return np.asarray(self.value, np.float64)
+
+    def taps(self, x: Floats, y: Floats, z: Floats) -> tuple[Floats, Floats]:
+        """One sample of weight 1 per point."""
+        return np.full((1, len(x)), self.value), np.ones((1, len(x)))

@@ -1,0 +1,155 @@
+"""A field painted as a grey picture, stretched over the part seen from above.
+
+    {image: paint/ratio.png, range: [0, 1]}
+    {image: paint/angle.png, range: [-90, 90], box: [x0, y0, x1, y1]}     box in mm, file coordinates
+
+Black is range[0], white is range[1]; the top row is the largest y. Bilinear between texel centres, clamped
+outside.
+"""
+
+from __future__ import annotations
+
+import io
+import warnings
+from collections.abc import Hashable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+from pydantic import Field, field_validator
+
+from amslicer.errors import JobError
+from amslicer.fields.source import Frame, Inputs, Number, Sampler, Source, blend
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    Floats = NDArray[np.float64]
+
+FORMATS = ("PNG", "TIFF")
+# Full scale of the grey modes that Pillow keeps without loss.
+FULL_SCALE = {"1": 1, "L": 255, "I;16": 65535, "I;16L": 65535, "I;16B": 65535}
+MAX_TEXELS = 100_000_000  # larger pictures are refused on their declared size, before decoding
+CONVERT_HINT = (
+    "convert it to a grey picture, for example: magick IN.png -colorspace Gray -alpha off -depth 16 OUT.png"
+)
+
+
+class ImageSource(Source):
+    """A grey picture over the part's bounding box, or over a box in mm."""
+
+    image: str = Field(min_length=1, description="8 or 16-bit grey PNG or TIFF, relative to the job file")
+    range: tuple[Number, Number] = Field(default=(0.0, 1.0), description="values of black and white")
+    plane: Literal["xy"] = Field(default="xy", description="the plane that the picture lies in")
+    box: tuple[Number, Number, Number, Number] | None = Field(
+        default=None, description="x0, y0, x1, y1 in mm, file coordinates; default: the part's bounding box"
+    )
+
+    @field_validator("box")
+    @classmethod
+    def _ordered(
+        cls, box: tuple[float, float, float, float] | None
+    ) -> tuple[float, float, float, float] | None:
+        if box is not None and not (box[0] < box[2] and box[1] < box[3]):
+            raise ValueError(f"must be [x0, y0, x1, y1] with x0 < x1 and y0 < y1, but is {list(box)}")
+        return box
+
+    def open(self, frame: Frame, inputs: Inputs) -> Sampler:
+        """The picture over a part."""
+        grey, full_scale = read_grey(inputs.read(self.image), self.image)
+        texels = blend(grey.astype(np.float64) / full_scale, *self.range)
+        if self.box is None:
+            corner, size = frame.minimum_mm[:2], frame.size_mm[:2]
+        else:
+            corner, size = np.array(self.box[:2]), np.array(self.box[2:]) - np.array(self.box[:2])
+        low = corner - frame.minimum_mm[:2]
+        return ImageSampler(texels[::-1], (float(low[0]), float(low[1])), (float(size[0]), float(size[1])))
+
+    def paths(self) -> tuple[str, ...]:
+        """The picture's path."""
+        return (self.image,)
+
+    def with_paths(self, renamed: dict[str, str]) -> Source:
+        """The same source with its picture elsewhere."""
+        return self.model_copy(update={"image": renamed[self.image]})
+
+
+@dataclass(frozen=True, eq=False)
+class ImageSampler:
+    """Texels over a rectangle of the field frame; row 0 is the smallest y."""
+
+    values: Floats
+    low_mm: tuple[float, float]
+    size_mm: tuple[float, float]
+
+    @property
+    def varies(self) -> tuple[bool, bool, bool]:
+        """In x and y where there is more than one texel."""
+        return (self.values.shape[1] > 1, self.values.shape[0] > 1, False)
+
+    @property
+    def texels(self) -> Hashable:
+        """Pictures of the same size on the same rectangle share their texels."""
+        return (self.values.shape, self.low_mm, self.size_mm)
+
+    def scalar(self, x: Floats, y: Floats, z: Floats) -> Floats:
+        """Bilinear values; lerp form, so that equal texels give exactly their value."""
+        c0, c1, fx = self._neighbours(x, 0)
+        r0, r1, fy = self._neighbours(y, 1)
+        v = self.values
+        low = v[r0, c0] + fx * (v[r0, c1] - v[r0, c0])
+        high = v[r1, c0] + fx * (v[r1, c1] - v[r1, c0])
+        result: Floats = low + fy * (high - low)
+        return result
+
+    def taps(self, x: Floats, y: Floats, z: Floats) -> tuple[Floats, Floats]:
+        """The four texels around each point and their bilinear weights."""
+        c0, c1, fx = self._neighbours(x, 0)
+        r0, r1, fy = self._neighbours(y, 1)
+        v = self.values
+        samples = np.stack([v[r0, c0], v[r0, c1], v[r1, c0], v[r1, c1]])
+        weights = np.stack([(1 - fx) * (1 - fy), fx * (1 - fy), (1 - fx) * fy, fx * fy])
+        return samples, weights
+
+    def _neighbours(self, position: Floats, axis: int) -> tuple[NDArray[np.int64], NDArray[np.int64], Floats]:
+        """Texel below, texel above and the share between them, along columns (0) or rows (1)."""
+        count = self.values.shape[1 - axis]
+        size = self.size_mm[axis]
+        along = (position - self.low_mm[axis]) / (size if size else 1.0) * count - 0.5
+        along = np.clip(along, 0.0, count - 1.0)
+        below = np.minimum(along.astype(np.int64), max(count - 2, 0))
+        return below, np.minimum(below + 1, count - 1), along - below
+
+
+def read_grey(content: bytes, name: str) -> tuple[NDArray[np.uint16], int]:
+    """Decodes an 8 or 16-bit grey picture: (texels, top row first; full scale).
+
+    Raises:
+        JobError: not a readable grey PNG or TIFF, truncated, or too large.
+    """
+    from PIL import Image
+
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", Image.DecompressionBombWarning)
+            picture = Image.open(io.BytesIO(content), formats=FORMATS)
+        width, height = picture.size
+        if width * height > MAX_TEXELS:
+            raise JobError(
+                f"the picture '{name}' has {width} × {height} pixels; at most {MAX_TEXELS // 10**6} million are read",
+                hint="make it smaller: fields are interpolated between pixels",
+            )
+        if picture.mode not in FULL_SCALE:
+            raise JobError(f"the picture '{name}' is not grey (mode {picture.mode})", hint=CONVERT_HINT)
+        if getattr(picture, "n_frames", 1) != 1:
+            raise JobError(
+                f"the picture '{name}' has {picture.n_frames} frames; one is needed", hint=CONVERT_HINT
+            )
+        picture.load()
+        return np.asarray(picture).astype(np.uint16), FULL_SCALE[picture.mode]
+    except JobError:
+        raise
+    except Exception as error:  # Pillow raises many kinds for damaged files
+        raise JobError(
+            f"the picture '{name}' cannot be read as {' or '.join(FORMATS)}: {error}", hint=CONVERT_HINT
+        ) from error

@@ -1,0 +1,122 @@
+"""What every field source offers: a validated specification, and a sampler opened over one part."""
+
+from __future__ import annotations
+
+import hashlib
+import stat
+from collections.abc import Hashable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Protocol
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+
+from amslicer.errors import JobError
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    Floats = NDArray[np.float64]
+
+Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
+
+
+class Sampler(Protocol):
+    """A scalar field over the part, in the field frame (mm, relative to the file's bounding box minimum).
+
+    Attributes:
+        varies: whether the value depends on x, y, z.
+        texels: identity of the sample grid behind `taps`; two samplers with equal texels can be combined
+            texel by texel. None where there is no grid.
+    """
+
+    varies: tuple[bool, bool, bool]
+    texels: Hashable | None
+
+    def scalar(self, x: Floats, y: Floats, z: Floats) -> Floats:
+        """Values at points; the coordinates broadcast, and so may the answer."""
+
+    def taps(self, x: Floats, y: Floats, z: Floats) -> tuple[Floats, Floats]:
+        """The samples behind each value and their weights, both (K, N), for (N,) coordinates.
+
+        Directions cannot be averaged as numbers (89° and -89° are 2° apart): whoever reads angles combines
+        these as lines.
+        """
+
+
+@dataclass(frozen=True)
+class Frame:
+    """The part's box in its file: what "stretched over the part" means.
+
+    Attributes:
+        minimum_mm: (3,) bounding box minimum in file coordinates, mm.
+        size_mm: (3,) bounding box size in the file's axes, mm.
+    """
+
+    minimum_mm: Floats
+    size_mm: Floats
+
+
+@dataclass
+class Inputs:
+    """The files that a job's fields name, each read once.
+
+    Attributes:
+        folder: the job file's folder; paths are relative to it and may not leave it.
+        files: what was read: path as written in the job file, to its bytes.
+    """
+
+    folder: Path
+    files: dict[str, bytes] = field(default_factory=dict)
+
+    def read(self, name: str) -> bytes:
+        """The bytes of a field file.
+
+        Raises:
+            JobError: missing, outside the folder, or not a regular file.
+        """
+        if name not in self.files:
+            path = (self.folder / name).resolve()
+            if not path.is_relative_to(self.folder.resolve()):
+                raise JobError(
+                    f"the field file '{name}' lies outside the job file's folder ({self.folder})",
+                    hint="put field files beside the job file or in a folder below it",
+                )
+            try:
+                if not stat.S_ISREG(path.stat().st_mode):
+                    raise JobError(f"the field file '{name}' is not a regular file ({path})")
+                self.files[name] = path.read_bytes()
+            except OSError as error:
+                raise JobError(
+                    f"the field file '{name}' cannot be read: {error.strerror or error} ({path})",
+                    hint="paths are relative to the job file",
+                ) from error
+        return self.files[name]
+
+    def digests(self) -> dict[str, str]:
+        """SHA-256 of each file that was read."""
+        return {name: hashlib.sha256(content).hexdigest() for name, content in sorted(self.files.items())}
+
+
+class Source(BaseModel):
+    """Base of the field sources' specifications, as written in the job file."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    def open(self, frame: Frame, inputs: Inputs) -> Sampler:
+        """The sampler over a part with this frame."""
+        raise NotImplementedError
+
+    def paths(self) -> tuple[str, ...]:
+        """The files that the specification names."""
+        return ()
+
+    def with_paths(self, renamed: dict[str, str]) -> Source:
+        """The same source with its files at other paths."""
+        return self
+
+
+def blend(t: Floats, a: float, b: float) -> Floats:
+    """a + t(b - a), exactly b where t is 1: how `range`, `from` and `to` map 0…1 to values."""
+    return np.where(t == 1, b, a + t * (b - a))

@@ -1,0 +1,152 @@
+"""manifest.json: what a stack holds and what it was made from. No clock time, absolute path or thread count."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from amslicer.errors import StorageError
+from amslicer.grid import Grid
+from amslicer.placement import Placement
+from amslicer.storage import storage_errors
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from amslicer.pipeline import Prepared
+
+FORMAT, VERSION = "amslicer-stack", 1
+MANIFEST, JOB_FILE, INPUTS = "manifest.json", "job.yaml", "inputs"
+
+
+@dataclass(frozen=True)
+class LayerRecord:
+    """One written layer: index, mid-height, and per material pixels and SHA-256 of its file."""
+
+    index: int
+    z_mm: float
+    pixels: dict[str, int]
+    sha256: dict[str, str]
+
+
+def describe_stack(
+    prepared: Prepared, records: list[LayerRecord], asked: float, *, device: str, digest: str, version: str
+) -> dict[str, Any]:
+    """The manifest of a finished stack.
+
+    Args:
+        records: the written layers, in order.
+        asked: sum of the painted ratio over the solid pixels.
+    """
+    grid, placement, mesh = prepared.grid, prepared.placement, prepared.mesh
+    materials = prepared.job.spec.materials
+    pixels = [sum(r.pixels[m.name] for r in records) for m in materials]
+    solid = sum(pixels)
+    high = placement.origin_mm + placement.size_mm
+    return {
+        "format": FORMAT,
+        "version": VERSION,
+        "complete": len(records) == grid.layers,
+        "job_digest": digest,
+        "amslicer": version,
+        "device": device,
+        "part": {
+            "file": mesh.file,
+            "sha256": mesh.sha256,
+            "bbox_mm": [_floats(placement.origin_mm), _floats(high)],
+            "file_bbox_mm": [_floats(mesh.minimum_mm), _floats(mesh.minimum_mm + mesh.size_mm)],
+            "file_size_mm": _floats(mesh.size_mm),
+            "transform": placement.transform(),
+            "turned_over": mesh.turned,
+        },
+        "grid": {
+            "width_px": grid.width_px,
+            "height_px": grid.height_px,
+            "layer_count": grid.layers,
+            "margin_px": grid.margin_px,
+            "pitch_mm": list(grid.pitch_mm),
+            "layer_mm": grid.layer_mm,
+            "origin_mm": list(grid.corner_mm(placement.origin_mm.tolist())),
+        },
+        "materials": [
+            {
+                "name": material.name,
+                "color": material.color,
+                "pixels": count,
+                "volume_mm3": count * grid.voxel_mm3,
+                "ratio": count / solid if solid else 0.0,
+                "ratio_asked": _asked_share(m, asked, solid),
+            }
+            for m, (material, count) in enumerate(zip(materials, pixels, strict=True))
+        ],
+        "solid_pixels": solid,
+        "layers": [vars(record) for record in records],
+    }
+
+
+def _asked_share(material: int, asked: float, solid: int) -> float:
+    first = asked / solid if solid else 0.0
+    return first if material == 0 else 1.0 - first
+
+
+def _floats(values: NDArray[np.float64]) -> list[float]:
+    return [float(v) for v in values]
+
+
+def read_manifest(folder: Path) -> dict[str, Any]:
+    """The manifest of a stack.
+
+    Raises:
+        StorageError: there is none (no stack, or one that was interrupted), or it is damaged.
+    """
+    file = folder / MANIFEST
+    if not file.is_file():
+        hint = (
+            "its run was interrupted: run it again with --overwrite"
+            if (folder / JOB_FILE).is_file()
+            else None
+        )
+        raise StorageError(f"'{folder}' is not a finished stack: it has no {MANIFEST}", hint=hint)
+    with storage_errors("read", file):
+        content = file.read_bytes()
+    try:
+        manifest = json.loads(content)
+        if manifest["format"] != FORMAT or manifest["version"] != VERSION:
+            raise StorageError(
+                f"'{file}' is {manifest['format']} version {manifest['version']}; this reads {FORMAT} version {VERSION}"
+            )
+        grid_of(manifest), placement_of(manifest, 1.0), records_of(manifest)
+    except (ValueError, KeyError, TypeError, IndexError, AttributeError) as error:
+        raise StorageError(f"'{file}' is damaged: {error!r}", hint="slice the part again") from error
+    return dict(manifest)
+
+
+def grid_of(manifest: dict[str, Any]) -> Grid:
+    """The grid that a manifest describes."""
+    g = manifest["grid"]
+    margin = g.get("margin_px", 0)
+    return Grid(
+        g["width_px"] - 2 * margin, g["height_px"] - 2 * margin, g["layer_count"],
+        (g["pitch_mm"][0], g["pitch_mm"][1]), g["layer_mm"], margin,
+    )  # fmt: skip
+
+
+def placement_of(manifest: dict[str, Any], scale: float) -> Placement:
+    """Where the part stands, as a manifest describes it."""
+    part = manifest["part"]
+    matrix = np.array(part["transform"], float)
+    low_corner, high_corner = np.array(part["bbox_mm"], float)
+    file_minimum = np.array(part["file_bbox_mm"][0], float)
+    low = low_corner - matrix[:3, 3] - matrix[:3, :3] @ file_minimum
+    return Placement(
+        matrix[:3, :3] / scale, scale, low, high_corner - low_corner, low_corner, file_minimum, 0.0
+    )
+
+
+def records_of(manifest: dict[str, Any]) -> list[LayerRecord]:
+    """The layers that a manifest lists."""
+    return [LayerRecord(e["index"], e["z_mm"], e["pixels"], e["sha256"]) for e in manifest["layers"]]

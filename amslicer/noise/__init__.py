@@ -1,0 +1,15 @@
+"""The noises: complex, band-limited random fields G, each made of kernels at hashed places.
+
+`NOISES` is the closed list: a job file names a noise by its key. A new one is one file and one line.
+"""
+
+from __future__ import annotations
+
+from amslicer.noise.kernels import Kernels, Noise
+from amslicer.noise.phasor import Phasor
+
+NOISES: dict[str, type[Noise]] = {
+    "phasor": Phasor,
+}
+
+__all__ = ["NOISES", "Kernels", "Noise"]

@@ -1,0 +1,317 @@
+"""The laminate inside one part: noise, painted fields, profile, evaluated slab by slab on a device."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from amslicer.errors import JobError
+from amslicer.evaluator import Evaluator, work_shape
+from amslicer.fields import Frame, Sampler, open_field
+from amslicer.fields.orientation import Orientation
+from amslicer.noise import NOISES
+from amslicer.noise.kernels import Kernels, join_kernels
+from amslicer.profile import PROFILES
+from amslicer.specification import AzimuthElevation
+from amslicer.tiles import TILE, TILE_LAYERS, active_tiles, all_tiles, padded_tiles
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from amslicer.device import Device
+    from amslicer.grid import Grid
+    from amslicer.job import Job
+    from amslicer.mask import Runs
+    from amslicer.noise import Noise
+    from amslicer.placement import Placement
+
+    Floats = NDArray[np.float64]
+
+FIELD_BYTES = 64 << 20  # G of a few layers at a time: 8 bytes per pixel
+RATIO_ROWS = 64  # rows of the ratio evaluated at a time; fixed, so that every run does the same arithmetic
+RATIO_ROUNDING = 1e-9  # how far interpolation may leave 0…1
+
+
+@dataclass(frozen=True)
+class Painted:
+    """A job's fields, opened over its placed part.
+
+    Attributes:
+        ratio: share of the first material.
+        orientation: the laminate's normal.
+    """
+
+    ratio: Sampler
+    orientation: Orientation
+    placement: Placement
+    mid_height_mm: float
+    dimensions: int
+
+    def normals(self, points_mm: Floats) -> Floats:
+        """(N, 3) unit normals in printer axes at (N, 3) pattern-frame points; flat in 2D, at mid-height."""
+        flat = self.dimensions == 2
+        z = np.full(len(points_mm), self.mid_height_mm) if flat else points_mm[:, 2]
+        x, y, z = np.broadcast_arrays(*self.placement.to_field(points_mm[:, 0], points_mm[:, 1], z))
+        normals = self.placement.turn(self.orientation.normals(x, y, z))
+        if flat:
+            normals = normals * (1.0, 1.0, 0.0)
+            length = np.linalg.norm(normals, axis=1, keepdims=True)
+            upright = length < 1e-6  # a normal that points straight up has no direction in the plane
+            normals = np.where(upright, (1.0, 0.0, 0.0), normals / np.where(upright, 1.0, length))
+        return normals
+
+    @property
+    def ratio_depends_on_z(self) -> bool:
+        """Whether the ratio changes from layer to layer."""
+        return self.placement.depends_on_z(self.ratio.varies)
+
+    def ratio_map(self, grid: Grid, layer: int) -> NDArray[np.float32]:
+        """(rows, columns) painted ratio at the pixel centres of a layer, row 0 = lowest y.
+
+        Raises:
+            JobError: the painted ratio leaves 0…1; the message says where and how much.
+        """
+        x, z = grid.x_mm()[None, :], np.asarray(grid.z_mm(layer))
+        out = np.empty((grid.rows, grid.columns), np.float32)
+        for first in range(0, grid.rows, RATIO_ROWS):
+            y = grid.y_mm()[first : first + RATIO_ROWS, None]
+            values = np.broadcast_to(
+                self.ratio.scalar(*self.placement.to_field(x, y, z)), (len(y), grid.columns)
+            )
+            wrong = ~((values >= -RATIO_ROUNDING) & (values <= 1 + RATIO_ROUNDING))
+            if wrong.any():
+                row, column = np.argwhere(wrong)[0]
+                raise JobError(
+                    f"fields.ratio is {values[row, column]:.4g} at x = {x[0, column]:.2f}, y = {y[row, 0]:.2f}, "
+                    f"z = {float(z):.2f} mm from the part's corner; a ratio is between 0 and 1",
+                    hint="change the field's range (or from and to) so that it stays within 0 and 1",
+                )
+            out[first : first + RATIO_ROWS] = np.clip(values, 0.0, 1.0)
+        return out
+
+
+def open_fields(job: Job, placement: Placement, file_size_mm: Floats) -> Painted:
+    """Opens a job's fields over its part.
+
+    Args:
+        file_size_mm: (3,) bounding box size in the file's axes.
+    """
+    frame = Frame(placement.file_minimum_mm, file_size_mm)
+    spec = job.spec.fields.orientation
+    if isinstance(spec, AzimuthElevation):
+        orientation = Orientation(
+            open_field(spec.azimuth, frame, job.inputs), open_field(spec.elevation, frame, job.inputs)
+        )
+    else:
+        orientation = Orientation(open_field(spec, frame, job.inputs))
+    ratio = open_field(job.spec.fields.ratio, frame, job.inputs)
+    middle = float(placement.size_mm[2]) / 2
+    return Painted(ratio, orientation, placement, middle, job.spec.pattern.dimensions)
+
+
+def make_noise(job: Job) -> Noise:
+    """The job's noise with its parameters."""
+    pattern = job.spec.pattern
+    assert isinstance(pattern.period, float)
+    given = {} if pattern.impulses is None else {"impulses": pattern.impulses}
+    return NOISES[pattern.noise](
+        period_mm=pattern.period, bandwidth=pattern.bandwidth, dimensions=pattern.dimensions,
+        seed=pattern.seed, **given,
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class PlanarField:
+    """G of a 2D pattern: evaluated once for all tiles, the same for all layers."""
+
+    buffer: Any
+    slot_of_tile: NDArray[np.uint32]
+
+
+class Pattern:
+    """Labels of the solid pixels of a part, layer by layer, on an open device."""
+
+    def __init__(self, job: Job, painted: Painted, grid: Grid, device: Device) -> None:
+        self.painted = painted
+        self.grid = grid
+        self.device = device
+        self.noise = make_noise(job)
+        self.planar = job.spec.pattern.dimensions == 2
+        self._thresholds_of = PROFILES[job.spec.pattern.profile]
+        self._padded = tuple(TILE * count for count in padded_tiles(grid))
+        self._planar_field: PlanarField | None = None
+        self._thresholds: Any = None
+        self._ratio: NDArray[np.float32] | None = None
+        self._running: Floats | None = None
+        self._sheets: dict[int, Kernels] = {}
+
+    def labels(self, runs: Runs, first: int) -> NDArray[np.uint8]:
+        """Labels of the layers first, first + 1, …: (layers, rows, columns), 0 = empty, m = material m, row 0 = lowest y.
+
+        Args:
+            runs: the solid pixels; the layers lie in one block of TILE_LAYERS.
+        """
+        rows, columns = self._padded
+        labels = np.zeros((runs.layers, rows, columns), np.uint8)
+        tiles = active_tiles(runs)
+        if len(tiles):
+            self._label_tiles(labels, runs, tiles, first)
+        return labels[:, : self.grid.rows, : self.grid.columns]
+
+    def asked(self, runs: Runs, first: int) -> list[float]:
+        """Per layer, the sum of the painted ratio over the solid pixels."""
+        layer_of_run = runs.row // self.grid.rows
+        sums = np.zeros(runs.layers)
+        for layer in range(runs.layers) if self.painted.ratio_depends_on_z else (None,):
+            here = slice(None) if layer is None else layer_of_run == layer
+            until = self._ratio_until(first + (layer or 0))
+            row = runs.row[here] % self.grid.rows
+            shares = until[row, runs.stop[here]] - until[row, runs.start[here]]
+            sums += np.bincount(layer_of_run[here], shares, minlength=runs.layers)
+        return [float(s) for s in sums]
+
+    def _ratio_until(self, layer: int) -> Floats:
+        """(rows, columns + 1) running sum of the painted ratio along each row."""
+        if self._running is None or self.painted.ratio_depends_on_z:
+            self._running = np.zeros((self.grid.rows, self.grid.columns + 1))
+            np.cumsum(self.ratio(layer), axis=1, dtype=np.float64, out=self._running[:, 1:])
+        return self._running
+
+    def ratio(self, layer: int) -> NDArray[np.float32]:
+        """(rows, columns) painted ratio of a layer, kept where it is the same in every layer."""
+        if self.painted.ratio_depends_on_z:
+            return self.painted.ratio_map(self.grid, layer)
+        if self._ratio is None:
+            self._ratio = self.painted.ratio_map(self.grid, 0)
+        return self._ratio
+
+    def field(self, layer: int, *, per_pixel: bool = False) -> NDArray[np.complex64]:
+        """G at every pixel of a layer, margin included: (height, width) complex64, row 0 = lowest y."""
+        grid, margin = self.grid, self.grid.margin_px
+        before = -(-margin // TILE)
+        end = (-(-(grid.columns + margin) // TILE), -(-(grid.rows + margin) // TILE))
+        evaluator = self._evaluator(layer, 1, all_tiles((-before, -before), end))
+        parts = np.empty((end[1] + before, end[0] + before, TILE, 2, TILE), np.float32)
+        buffer = self.device.empty(parts.nbytes)
+        enqueue = evaluator.field_per_pixel if per_pixel else evaluator.field
+        enqueue(buffer, layer, 1)
+        self.device.read(buffer, parts)
+        re, im = (parts[:, :, :, i].transpose(0, 2, 1, 3).reshape(parts.shape[0] * TILE, -1) for i in (0, 1))
+        corner = before * TILE - margin
+        window = slice(corner, corner + grid.height_px), slice(corner, corner + grid.width_px)
+        return (re + 1j * im)[window].astype(np.complex64)
+
+    def _label_tiles(
+        self, labels: NDArray[np.uint8], runs: Runs, tiles: NDArray[np.int32], first: int
+    ) -> None:
+        """Writes the labels of the listed tiles into (layers, padded rows, padded columns)."""
+        solid = self._solid(runs)
+        out = self.device.zeros(labels.nbytes)
+        planar = self._planar_g() if self.planar else None
+        evaluator = None if planar else self._evaluator(first, runs.layers, tiles)
+        slots = (
+            planar.slot_of_tile[tiles[:, 1], tiles[:, 0]]
+            if planar
+            else np.arange(len(tiles), dtype=np.uint32)
+        )
+        field_tiles = planar.slot_of_tile.size if planar else len(tiles)
+        at_once = (
+            runs.layers if evaluator is None else max(1, FIELD_BYTES // (4 * evaluator.floats_per_layer))
+        )
+        if self.painted.ratio_depends_on_z:
+            at_once = 1
+        buffer = planar.buffer if planar else None
+        plane = labels[0].nbytes
+        lists = self.device.buffer(tiles), self.device.buffer(slots)
+        for start in range(0, runs.layers, at_once):
+            count = min(at_once, runs.layers - start)
+            if evaluator is not None:
+                buffer = buffer or self.device.empty(
+                    min(at_once, runs.layers) * 4 * evaluator.floats_per_layer
+                )
+                evaluator.field(buffer, first + start, count)
+            self.device.kernel("profile", **work_shape(self.device), SLOTS=1)(
+                self.device.queue, (TILE, len(tiles), count), (TILE, 1, 1),
+                out.get_sub_region(start * plane, count * plane), buffer,
+                solid.get_sub_region(start * plane, count * plane), self._threshold_buffer(first + start),
+                *lists, np.uint32(1), np.array(self._padded[::-1], np.uint32), np.uint32(field_tiles),
+                np.uint32(1 if planar else count),
+            )  # fmt: skip
+        self.device.read(out, labels)
+
+    def _solid(self, runs: Runs) -> Any:
+        """The solid pixels as a device buffer: uint8 [layers][padded rows][padded columns]."""
+        rows, columns = self._padded
+        solid = self.device.zeros(runs.layers * rows * columns)
+        total = runs.layers * self.grid.rows
+        starts = np.searchsorted(runs.row, np.arange(total + 1)).astype(np.uint32)
+        pairs = np.stack([runs.start, runs.stop], axis=-1).astype(np.int32)
+        self.device.run(
+            self.device.kernel("fill"), total, solid, self.device.buffer(starts), self.device.buffer(pairs),
+            np.uint32(columns), np.uint32(self.grid.rows), np.uint32(rows), np.uint32(total),
+        )  # fmt: skip
+        return solid
+
+    def _planar_g(self) -> PlanarField:
+        """G of a 2D pattern, evaluated once."""
+        if self._planar_field is None:
+            rows, columns = padded_tiles(self.grid)
+            evaluator = self._evaluator(0, 1, all_tiles((0, 0), (columns, rows)))
+            buffer = self.device.empty(4 * evaluator.floats_per_layer)
+            evaluator.field(buffer, 0, 1)
+            slots = np.arange(rows * columns, dtype=np.uint32).reshape(rows, columns)
+            self._planar_field = PlanarField(buffer, slots)
+        return self._planar_field
+
+    def _evaluator(self, first: int, count: int, tiles: NDArray[np.int32]) -> Evaluator:
+        """An evaluator for some layers (of one block of TILE_LAYERS) and tiles."""
+        grid, side = self.grid, TILE * np.array(self.grid.pitch_mm)
+        low, high = tiles.min(axis=0) * side, (tiles.max(axis=0) + 1) * side
+        kernels = self._kernels(low, high, grid.z_mm(first), grid.z_mm(first + count - 1))
+        block_middle = (first // TILE_LAYERS + 0.5) * TILE_LAYERS * grid.layer_mm
+        centres = np.column_stack([(tiles + 0.5) * side, np.full(len(tiles), block_middle)])
+        normals = self.painted.normals(centres)
+        return Evaluator(self.device, kernels, tiles, normals, grid, planar=self.planar)
+
+    def _kernels(self, low_mm: Floats, high_mm: Floats, low_z_mm: float, high_z_mm: float) -> Kernels:
+        """All kernels that reach a rectangle between two heights, in the order of their cells."""
+        sheets = self.noise.sheets(low_z_mm, high_z_mm)
+        self._sheets = {sheet: kernels for sheet, kernels in self._sheets.items() if sheet in sheets}
+        end = np.array(self._padded[::-1]) * self.grid.pitch_mm
+        for sheet in sheets:
+            if sheet not in self._sheets:
+                self._sheets[sheet] = self.noise.kernels(
+                    self._draw, sheet, np.minimum(low_mm, 0.0), np.maximum(high_mm, end), self.painted.normals
+                )
+        near = []
+        for sheet in sheets:
+            kernels = self._sheets[sheet]
+            centre, radius = kernels.centre_mm, kernels.radius_mm
+            reaches = np.all(centre[:, :2] + radius[:, None] > low_mm, axis=1)
+            reaches &= np.all(centre[:, :2] - radius[:, None] < high_mm, axis=1)
+            if not self.planar:
+                reaches &= (centre[:, 2] + radius > low_z_mm) & (centre[:, 2] - radius < high_z_mm)
+            near.append(kernels.take(reaches))
+        return join_kernels(near)
+
+    def _draw(
+        self, first: tuple[int, int, int], count: tuple[int, int, int], per_cell: int, seed: int
+    ) -> NDArray[np.uint32]:
+        words = np.empty((count[2], count[1], count[0], per_cell, 4), np.uint32)
+        buffer = self.device.empty(words.nbytes)
+        key = np.array([seed & 0xFFFFFFFF, seed >> 32], np.uint32)
+        self.device.run(
+            self.device.kernel("impulses"), words.size // 4, buffer, np.array([*first, 0], np.int32),
+            np.array([*count, per_cell], np.uint32), key,
+        )  # fmt: skip
+        self.device.read(buffer, words)
+        return words
+
+    def _threshold_buffer(self, layer: int) -> Any:
+        if self.painted.ratio_depends_on_z or self._thresholds is None:
+            padded = np.zeros(self._padded, np.float32)
+            padded[: self.grid.rows, : self.grid.columns] = self._thresholds_of(self.ratio(layer))
+            self._thresholds = self.device.buffer(padded)
+        return self._thresholds

@@ -1,0 +1,222 @@
+"""From job to layers to files: the order of the stages, and the threads that they share."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from amslicer.device import Device
+from amslicer.errors import JobError, UsageError
+from amslicer.grid import Grid, cover
+from amslicer.layer import Layer
+from amslicer.mask import Slicer, join_runs, make_slicer
+from amslicer.mesh import Mesh, read_mesh
+from amslicer.pattern import Painted, Pattern, open_fields
+from amslicer.placement import Placement, place
+from amslicer.tiles import TILE_LAYERS
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from amslicer.job import Job
+
+Progress = Callable[[int, int], None]
+
+# Solid masks and labels of one batch of layers: bounds memory, changes no byte.
+BATCH_PIXELS = 1 << 26
+# One layer's G, thresholds and masks take about 20 bytes per pixel; beyond this no machine holds them.
+MAX_LAYER_PIXELS = 200_000_000
+MAX_LAYERS = 1_000_000
+
+
+@dataclass(frozen=True)
+class Run:
+    """How a job is computed; nothing here but the device may change a byte.
+
+    Attributes:
+        device: part of an OpenCL device's label; None takes the first that works.
+        jobs: threads used, the device's on CPUs included; None means all cores.
+        layers: half-open range of layers, like a Python slice's; None means all.
+    """
+
+    device: str | None = None
+    jobs: int | None = None
+    layers: tuple[int | None, int | None] | None = None
+
+    @property
+    def threads(self) -> int:
+        """Number of threads for the host's share of the work."""
+        return self.jobs or len(os.sched_getaffinity(0))
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """A part read, placed and covered by the printer's grid, with its fields open."""
+
+    job: Job
+    mesh: Mesh
+    placement: Placement
+    grid: Grid
+    slicer: Slicer
+    painted: Painted
+
+    def notes(self) -> list[str]:
+        """What a person should know about the part, in sentences."""
+        notes = list(self.mesh.notes)
+        if self.placement.lifted_mm < 0:
+            notes.append(
+                f"the part was {-self.placement.lifted_mm:.3f} mm above the bed: moved down to z = 0"
+            )
+        elif self.placement.lifted_mm > 0:
+            notes.append(f"the part was {self.placement.lifted_mm:.3f} mm below the bed: moved up to z = 0")
+        return notes
+
+
+def prepare(job: Job) -> Prepared:
+    """Reads the part and its fields, and lays the grid.
+
+    Raises:
+        PartError: the part cannot be sliced.
+        JobError: a field cannot be used, or the job is too large.
+    """
+    spec = job.spec
+    mesh = read_mesh(job.part, spec.part.units)
+    placement, vertices = place(
+        mesh, scale=spec.part.scale, rotate_deg=spec.part.rotate, on_bed=spec.part.on_bed
+    )
+    printer = spec.printer
+    grid = cover(placement.size_mm.tolist(), printer.pitch_mm, printer.layer_height_mm, printer.margin_px)
+    _refuse_absurd(job, grid, placement)
+    painted = open_fields(job, placement, mesh.size_mm)
+    return Prepared(job, mesh, placement, grid, make_slicer(vertices, mesh.triangles, grid), painted)
+
+
+def _refuse_absurd(job: Job, grid: Grid, placement: Placement) -> None:
+    pixels = grid.width_px * grid.height_px
+    if pixels > MAX_LAYER_PIXELS or grid.layers > MAX_LAYERS:
+        size = " × ".join(f"{float(v):.1f}" for v in placement.size_mm)
+        raise JobError(
+            f"the job is too large: '{job.part.name}' measures {size} mm, which makes {grid.width_px} × "
+            f"{grid.height_px} pixels in {grid.layers} layers; at most {MAX_LAYER_PIXELS // 10**6} million pixels "
+            f"per layer and {MAX_LAYERS} layers are sliced",
+            hint="check the part's units (--units), or use a coarser printer (--printer)",
+        )
+
+
+def layer_range(run: Run, count: int) -> range:
+    """The layers that a run makes.
+
+    Raises:
+        UsageError: the range holds no layer of this part.
+    """
+    if run.layers is None:
+        return range(count)
+    chosen = range(count)[slice(*run.layers)]
+    if not chosen:
+        raise UsageError(
+            f"--layers {run.layers[0] if run.layers[0] is not None else ''}:"
+            f"{run.layers[1] if run.layers[1] is not None else ''} holds no layer; the part has {count} layers",
+            hint=f"give a range within 0:{count}, half-open like Python's",
+        )
+    return chosen
+
+
+def layers(job: Job, run: Run | None = None) -> Iterator[Layer]:
+    """Slices a job layer by layer; memory does not grow with the number of layers.
+
+    Args:
+        job: what to slice.
+        run: device, threads, range of layers.
+
+    Raises:
+        AmslicerError: when the iteration starts or as soon as something is found wrong.
+    """
+    run = run or Run()
+    prepared = prepare(job)
+    with Device(run.device, run.jobs) as device, host_threads(run) as pool:
+        pattern = Pattern(job, prepared.painted, prepared.grid, device)
+        for batch in make_layers(
+            prepared, pattern, pool, layer_range(run, prepared.grid.layers), run.threads
+        ):
+            yield from (made.layer for made in batch)
+
+
+def field_of_layer(job: Job, index: int, run: Run | None = None) -> NDArray[np.complex64]:
+    """G at one layer's pixels, margin included, solid or not: (H, W) complex64, row 0 = largest y.
+
+    Args:
+        index: layer, from 0; negative counts from the last.
+
+    Raises:
+        UsageError: there is no such layer.
+    """
+    run = run or Run()
+    prepared = prepare(job)
+    count = prepared.grid.layers
+    if not -count <= index < count:
+        raise UsageError(f"there is no layer {index}; the part has {count} layers")
+    with Device(run.device, run.jobs) as device:
+        return Pattern(job, prepared.painted, prepared.grid, device).field(index % count)[::-1]
+
+
+@dataclass(frozen=True)
+class Made:
+    """A finished layer, and what its fields ask for.
+
+    Attributes:
+        layer: labels.
+        asked: sum of the painted ratio over the solid pixels: how many pixels of the first material are asked.
+    """
+
+    layer: Layer
+    asked: float
+
+
+def make_layers(
+    prepared: Prepared, pattern: Pattern, pool: ThreadPoolExecutor, chosen: range, threads: int
+) -> Iterator[list[Made]]:
+    """Batches of layers: masks in the pool's threads, then labels on the device."""
+    grid = prepared.grid
+    for first, end in batches(chosen, grid):
+        pieces = np.array_split(np.arange(first, end), min(threads, end - first))
+        parts = pool.map(lambda piece: prepared.slicer.runs(int(piece[0]), int(piece[-1]) + 1), pieces)
+        runs = join_runs(list(parts))
+        asked = pattern.asked(runs, first)
+        labels = pattern.labels(runs, first)
+        yield [Made(_layer(prepared, first + i, layer), asked[i]) for i, layer in enumerate(labels)]
+
+
+def batches(chosen: range, grid: Grid) -> Iterator[tuple[int, int]]:
+    """Half-open runs of layers, none across a border of TILE_LAYERS, each within the memory bound."""
+    at_once = max(1, min(TILE_LAYERS, BATCH_PIXELS // (grid.columns * grid.rows)))
+    first = chosen.start
+    while first < chosen.stop:
+        border = (first // TILE_LAYERS + 1) * TILE_LAYERS
+        end = min(chosen.stop, border, first + at_once)
+        yield first, end
+        first = end
+
+
+def _layer(prepared: Prepared, index: int, labels: NDArray[np.uint8]) -> Layer:
+    grid, margin = prepared.grid, prepared.grid.margin_px
+    flipped = labels[::-1]
+    if margin:
+        flipped = np.pad(flipped, margin)
+    z = float(prepared.placement.origin_mm[2]) + grid.z_mm(index)
+    return Layer(index, z, flipped, prepared.job.materials)
+
+
+@contextmanager
+def host_threads(run: Run) -> Iterator[ThreadPoolExecutor]:
+    """A pool of as many threads as the run may use; nothing outlives it."""
+    pool = ThreadPoolExecutor(run.threads)
+    try:
+        yield pool
+    finally:
+        pool.shutdown(wait=True, cancel_futures=True)

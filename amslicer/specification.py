@@ -1,0 +1,227 @@
+"""The job file's language: every key, its type, range and default, as validated frozen data.
+
+What a key means is said once, in its description here; messages, the starter file and the documentation
+read it from here.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, field_validator, model_validator
+
+from amslicer.fields import FieldSpec
+from amslicer.fields.source import Number
+
+Whole = Annotated[int, Field(strict=True)]
+Flag = Annotated[bool, Field(strict=True)]
+Positive = Annotated[Number, Field(gt=0)]
+
+MAX_SEED = 2**64 - 1
+# Folder names on every file system, and the names of the stack's own entries.
+MATERIAL_NAME = r"^[A-Za-z0-9][A-Za-z0-9 _.+-]{0,63}$"
+RESERVED_NAMES = ("inputs", "manifest.json", "job.yaml")
+# Distinct colours for materials that are given without one (the first two are the README's).
+DEFAULT_COLORS = ("#2b6cb0", "#f6ad55", "#38a169", "#e53e3e", "#805ad5", "#d69e2e", "#319795", "#718096")
+
+NOISES = (
+    "phasor", "gabor", "gabor-isotropic", "phacelle", "phacelle-simple", "wave", "wave-cellular",
+    "wave-polytope", "wave-stit", "wave-by-example", "random-phase", "asymptotic-spot",
+)  # fmt: skip
+PROFILES = ("pwm", "symmetric", "cyclic")
+
+
+class Model(BaseModel):
+    """Base of the job file's sections: unknown keys are refused, values are frozen."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class Printer(Model):
+    """A printer's grid. Pitch as dpi or pitch_um, layer as layer_mm or layer_um."""
+
+    name: str | None = Field(default=None, description="the profile that this grid comes from")
+    description: str | None = None
+    dpi: Positive | tuple[Positive, Positive] | None = Field(
+        default=None, description="dots per inch, or [x, y]"
+    )
+    pitch_um: Positive | tuple[Positive, Positive] | None = Field(
+        default=None, description="pixel size, or [x, y]"
+    )
+    layer_mm: Positive | None = Field(default=None, description="layer height")
+    layer_um: Positive | None = Field(default=None, description="layer height")
+    margin_px: Annotated[Whole, Field(ge=0, le=10_000)] = Field(
+        default=0, description="empty pixels on each side"
+    )
+
+    @model_validator(mode="after")
+    def _one_of_each(self) -> Printer:
+        for pair in (("dpi", "pitch_um"), ("layer_mm", "layer_um")):
+            given = [key for key in pair if getattr(self, key) is not None]
+            if len(given) != 1:
+                raise ValueError(f"needs exactly one of {pair[0]} and {pair[1]}, but has {len(given)}")
+        return self
+
+    @property
+    def pitch_mm(self) -> tuple[float, float]:
+        """Pixel size along x and y."""
+        if self.dpi is not None:
+            x, y = self.dpi if isinstance(self.dpi, tuple) else (self.dpi, self.dpi)
+            return 25.4 / x, 25.4 / y
+        assert self.pitch_um is not None
+        x, y = self.pitch_um if isinstance(self.pitch_um, tuple) else (self.pitch_um, self.pitch_um)
+        return x / 1000, y / 1000
+
+    @property
+    def layer_height_mm(self) -> float:
+        """Layer height."""
+        if self.layer_mm is not None:
+            return self.layer_mm
+        assert self.layer_um is not None
+        return self.layer_um / 1000
+
+
+class PartSettings(Model):
+    """How the part's file is read and placed."""
+
+    units: Literal["mm", "cm", "m", "inch"] | None = Field(
+        default=None, description="what one unit of the file is; default: mm, or the unit that a 3MF states"
+    )
+    scale: Positive = Field(default=1.0, description="factor on all lengths of the part")
+    rotate: tuple[Number, Number, Number] = Field(
+        default=(0.0, 0.0, 0.0), description="degrees about the file's x, then y, then z axis"
+    )
+    on_bed: Flag = Field(default=True, description="move the part's lowest point to z = 0")
+
+
+class Material(Model):
+    """One printable material."""
+
+    name: str = Field(pattern=MATERIAL_NAME, description="also the name of its folder")
+    color: str = Field(
+        pattern=r"^#[0-9A-Fa-f]{6}$", description="#rrggbb, for pictures; default: one of a list"
+    )
+    density_g_cm3: Positive | None = Field(default=None, description="for the weights in the summary")
+
+    @field_validator("name")
+    @classmethod
+    def _not_reserved(cls, name: str) -> str:
+        if name.lower() in RESERVED_NAMES or name.endswith((".", " ")):
+            raise ValueError(f"'{name}' cannot be a material's name: a folder of the stack is called by it")
+        return name
+
+
+class Pattern(Model):
+    """The laminate's noise and profile."""
+
+    noise: Literal[NOISES] = Field(default="phasor", description="the random field")  # type: ignore[valid-type]
+    dimensions: Literal[2, 3] = Field(
+        default=3, description="3: solid laminate; 2: the same pattern in every layer"
+    )
+    period: FieldSpec = Field(
+        default=1.0, description="mm between two sheets of a material, in the printed part"
+    )
+    bandwidth: Annotated[Number, Field(gt=0, le=2)] = Field(default=0.5, description="relative to 1/period")
+    impulses: Annotated[Number, Field(gt=0, le=100)] | None = Field(
+        default=None, description="kernels per bandwidth^dimensions; default per noise"
+    )
+    alignment: Annotated[Whole, Field(ge=0, le=10_000)] = Field(
+        default=0, description="phase-alignment sweeps"
+    )
+    evaluate: Literal["lattice", "exact"] = Field(default="lattice", description="how G is computed")
+    profile: Literal[PROFILES] = Field(default="pwm", description="phase to material")  # type: ignore[valid-type]
+    seed: Annotated[Whole, Field(ge=0, le=MAX_SEED)] = 1
+
+
+class AzimuthElevation(Model):
+    """A direction in space: two fields in degrees."""
+
+    azimuth: FieldSpec = Field(default=0.0, description="from +x towards +y")
+    elevation: FieldSpec = Field(default=0.0, description="above the xy plane")
+
+
+def _orientation_kind(value: Any) -> str:
+    if isinstance(value, AzimuthElevation) or (
+        isinstance(value, dict) and {"azimuth", "elevation"} & set(value)
+    ):
+        return "azimuth/elevation"
+    return "field"
+
+
+OrientationSpec = Annotated[
+    Annotated[AzimuthElevation, Tag("azimuth/elevation")] | Annotated[FieldSpec, Tag("field")],
+    Discriminator(_orientation_kind),
+]
+
+
+class Fields(Model):
+    """What is painted on the part."""
+
+    ratio: FieldSpec = Field(description="share of the first material, 0 to 1")
+    orientation: OrientationSpec = Field(
+        default=0.0, description="the laminate's normal: degrees from +x towards +y, or {azimuth, elevation}"
+    )
+    isotropy: FieldSpec = Field(default=0.0, description="0: laminate … 1: isotropic")
+
+
+class Output(Model):
+    """How the stack is written."""
+
+    format: Literal["png"] = Field(default="png", description="files of the stack")
+    compression: Literal["fast", "small"] = Field(
+        default="fast", description="size against speed of the files"
+    )
+
+
+class JobFile(Model):
+    """A whole job file, with its defaults filled in."""
+
+    printer: Printer
+    part: PartSettings = PartSettings()
+    materials: tuple[Material, ...] = Field(
+        min_length=2, max_length=8, description="in the order of the profile"
+    )
+    pattern: Pattern = Pattern()
+    fields: Fields
+    output: Output = Output()
+
+    @field_validator("materials", mode="before")
+    @classmethod
+    def _bare_names(cls, value: Any) -> Any:
+        if not isinstance(value, list | tuple):
+            return value
+        named = [{"name": m} if isinstance(m, str) else m for m in value]
+        return [
+            {**m, "color": m.get("color") or DEFAULT_COLORS[i % len(DEFAULT_COLORS)]}
+            if isinstance(m, dict)
+            else m
+            for i, m in enumerate(named)
+        ]
+
+    @field_validator("materials")
+    @classmethod
+    def _distinct(cls, materials: tuple[Material, ...]) -> tuple[Material, ...]:
+        names = [m.name.lower() for m in materials]
+        for name in names:
+            if names.count(name) > 1:
+                raise ValueError(
+                    f"the name '{name}' is used {names.count(name)} times; each needs its own folder"
+                )
+        return materials
+
+
+def key_paths() -> dict[str, str]:
+    """Every key's name, and where it belongs ("ratio": "fields.ratio"), for did-you-mean messages."""
+    from amslicer.fields import SOURCES
+    from amslicer.fields.gradient import GradientParameters
+
+    found: dict[str, str] = {}
+    sections: tuple[tuple[str, type[BaseModel]], ...] = (
+        ("", JobFile), ("printer.", Printer), ("part.", PartSettings), ("materials.", Material),
+        ("pattern.", Pattern), ("fields.", Fields), ("fields.orientation.", AzimuthElevation),
+        ("output.", Output), ("gradient.", GradientParameters), *(("", source) for source in SOURCES.values()),
+    )  # fmt: skip
+    for prefix, model in sections:
+        for key, info in model.model_fields.items():
+            found.setdefault(info.alias or key, f"{prefix}{info.alias or key}")
+    return found

@@ -1,0 +1,57 @@
+"""Files that are either whole or not there: temporary name, write, sync, rename; and errors in the user's words."""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+from amslicer.errors import StorageError
+
+TEMPORARY = ".amslicer-tmp"  # suffix of files on their way
+HINTS = {
+    errno.ENOSPC: "make space on the disk and run again with --overwrite",
+    errno.EDQUOT: "your disk quota is used up: make space and run again with --overwrite",
+    errno.EACCES: "choose a folder that you may write to (-o OUT)",
+    errno.EROFS: "the disk is read-only: choose another folder (-o OUT)",
+}
+
+
+@contextmanager
+def storage_errors(action: str, path: Path) -> Iterator[None]:
+    """Turns operating system errors into a StorageError that names the file."""
+    try:
+        yield
+    except OSError as error:
+        raise StorageError(
+            f"cannot {action} '{path}': {error.strerror or error}", hint=HINTS.get(error.errno or 0)
+        ) from error
+
+
+def write_atomically(path: Path, content: bytes) -> None:
+    """Writes a file so that its name never stands for half of it.
+
+    Raises:
+        StorageError: disk full, no permission, …; nothing is left behind.
+    """
+    temporary = path.with_name(path.name + TEMPORARY)
+    with storage_errors("write", path):
+        try:
+            with temporary.open("wb") as stream:
+                stream.write(content)
+                stream.flush()
+                os.fsync(stream.fileno())
+            temporary.replace(path)
+        except BaseException:
+            with suppress(OSError):
+                temporary.unlink(missing_ok=True)
+            raise
+
+
+def json_bytes(content: Any) -> bytes:
+    """A JSON document as it is written: UTF-8, indented, keys as given."""
+    return (json.dumps(content, indent=1, ensure_ascii=False) + "\n").encode()

@@ -1,0 +1,130 @@
+"""Tiles of pixels, and which kernels reach each: the work layout of the evaluation.
+
+Tiles are TILE × TILE pixels and TILE_LAYERS layers, counted from the part's corner, so that nothing about how
+a job is cut up can change them. Each tile has a reference normal: a kernel whose painted normal points
+against it is taken with the opposite sign, -n and -φ, so that all kernels of a tile agree (a laminate's normal
+is a line; the sign would otherwise show in Im G).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.sparse import coo_array
+
+from amslicer.mask import expand
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from amslicer.grid import Grid
+    from amslicer.mask import Runs
+    from amslicer.noise import Kernels
+
+    Floats = NDArray[np.float64]
+    Ints = NDArray[np.int64]
+
+TILE = 32
+TILE_LAYERS = 16  # layers that share a list of kernels
+SIGN_BIT = np.uint32(0x80000000)  # cl/tile.h: the kernel is taken with the opposite sign
+
+
+@dataclass(frozen=True)
+class TileLists:
+    """The kernels of each listed tile, in kernel order.
+
+    Attributes:
+        tiles: (T, 2) int32 column and row of each tile.
+        starts: (T + 1,) uint32 where each tile's entries start.
+        entries: uint32 kernel indices, with SIGN_BIT where the sign is turned.
+    """
+
+    tiles: NDArray[np.int32]
+    starts: NDArray[np.uint32]
+    entries: NDArray[np.uint32]
+
+
+@dataclass(frozen=True)
+class Reach:
+    """The tiles that each kernel reaches along one pixel axis.
+
+    Attributes:
+        first: (N,) int64 first tile.
+        last: (N,) int64 last tile.
+        offset_mm: (N,) the kernel's centre from the corner of its first tile.
+    """
+
+    first: Ints
+    last: Ints
+    offset_mm: Floats
+
+    @property
+    def slots(self) -> int:
+        """The most tiles that one kernel reaches."""
+        return int((self.last - self.first).max(initial=0)) + 1
+
+
+def reach(kernels: Kernels, axis: int, pitch_mm: float) -> Reach:
+    """Which tiles along x (0) or y (1) the kernels reach."""
+    side = TILE * pitch_mm
+    centre = kernels.centre_mm[:, axis]
+    first = np.floor((centre - kernels.radius_mm) / side).astype(np.int64)
+    last = np.floor((centre + kernels.radius_mm) / side).astype(np.int64)
+    return Reach(first, last, centre - first * side)
+
+
+def tile_lists(
+    kernels: Kernels, along_x: Reach, along_y: Reach, tiles: NDArray[np.int32], tile_normals: Floats
+) -> TileLists:
+    """Lists the kernels that reach each of the given tiles.
+
+    Args:
+        tiles: (T, 2) column and row, any order without repeats.
+        tile_normals: (T, 3) reference normals.
+    """
+    if len(tiles) == 0 or len(kernels) == 0:
+        return TileLists(tiles, np.zeros(len(tiles) + 1, np.uint32), np.zeros(0, np.uint32))
+    # Tiles sorted by row, then column: those that a kernel reaches in one row lie side by side.
+    left, right = int(tiles[:, 0].min()), int(tiles[:, 0].max())
+    columns = right - left + 1
+    key = tiles[:, 1].astype(np.int64) * columns + (tiles[:, 0] - left)
+    order = np.argsort(key)
+    key = key[order]
+    first_y = np.maximum(along_y.first, tiles[:, 1].min())
+    last_y = np.minimum(along_y.last, tiles[:, 1].max())
+    kernel, row = expand(np.arange(len(kernels)), first_y, np.maximum(last_y - first_y + 1, 0))
+    first_x = np.maximum(along_x.first, left)[kernel]
+    last_x = np.minimum(along_x.last, right)[kernel]
+    begin = np.searchsorted(key, row * columns + first_x - left)
+    end = np.searchsorted(key, row * columns + last_x - left, side="right")
+    kernel, place = expand(kernel, begin, np.maximum(end - begin, 0))
+    tile = order[place]
+
+    against = np.einsum("ni,ni->n", kernels.normal[kernel], tile_normals[tile]) < 0
+    entry = kernel.astype(np.uint32) | np.where(against, SIGN_BIT, np.uint32(0))
+    # Rows of a CSR matrix keep the order in which their entries are given: by kernel.
+    matrix = coo_array((entry, (tile, kernel)), shape=(len(tiles), len(kernels))).tocsr()
+    return TileLists(tiles, matrix.indptr.astype(np.uint32), matrix.data.astype(np.uint32))
+
+
+def active_tiles(runs: Runs) -> NDArray[np.int32]:
+    """(T, 2) column and row of the tiles with at least one solid pixel in some layer, by rows."""
+    rows, columns = padded_tiles(runs.grid)
+    change = np.zeros((rows, columns + 1), np.int64)
+    row = runs.row % runs.grid.rows // TILE
+    np.add.at(change, (row, runs.start // TILE), 1)
+    np.add.at(change, (row, (runs.stop - 1) // TILE + 1), -1)
+    return np.argwhere(np.cumsum(change, axis=1)[:, :-1] > 0)[:, ::-1].astype(np.int32)
+
+
+def all_tiles(first: tuple[int, int], end: tuple[int, int]) -> NDArray[np.int32]:
+    """(T, 2) column and row of every tile from first up to, not including, end (column, row), by rows."""
+    columns, rows = np.arange(first[0], end[0]), np.arange(first[1], end[1])
+    return np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2).astype(np.int32)
+
+
+def padded_tiles(grid: Grid) -> tuple[int, int]:
+    """Rows and columns of tiles that cover the part."""
+    return -(-grid.rows // TILE), -(-grid.columns // TILE)

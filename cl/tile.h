@@ -1,0 +1,28 @@
+// The work layout of a laminate: tiles of TILE × TILE pixels, counted from the part's own corner, and for
+// each kernel (impulse) of the noise the tiles along x and y that it reaches. The host defines:
+//   TILE    pixels per tile side           SLOTS   tiles per kernel and axis, at most
+//   ROWS    pixel rows per work-item       VECTOR  floats per vector instruction
+//   BLOCK   kernels staged at a time
+
+#ifndef AMSLICER_TILE_H
+#define AMSLICER_TILE_H
+
+#define CAT_(a, b) a##b
+#define CAT(a, b) CAT_(a, b)
+#define floatV CAT(float, VECTOR)
+#define vloadV CAT(vload, VECTOR)
+#define vstoreV CAT(vstore, VECTOR)
+
+// One kernel of the noise along one axis: what is left of a·exp(iψ) when the other axes are held.
+typedef struct {
+    float offset;    // mm, from the corner of the first tile it reaches to its centre
+    float wave;      // rad/mm, component of the wave vector
+    int tile;        // first tile that it reaches
+} Axis;
+
+// Half of an 8-byte entry of a tile's list: which kernel, and +1 or -1 (0x80000000) to agree with the
+// tile's own direction.
+#define KERNEL_OF(entry) ((entry) & 0x7FFFFFFFu)
+#define SIGN_OF(entry) (((entry) & 0x80000000u) ? -1.0f : 1.0f)
+
+#endif
