@@ -1,6 +1,214 @@
-def main() -> int:
-    from amslicer.device import list_devices
+"""The command line: which command, which options, and how a failure is told. The work is in `commands`."""
 
-    ds = list_devices()
-    print(ds)
-    return 0 if any(d.works for d in ds) else 5
+from __future__ import annotations
+
+import argparse
+import os
+import signal
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from types import FrameType
+from typing import NoReturn
+
+from amslicer import __version__
+from amslicer.errors import (
+    EXIT_INTERRUPTED,
+    EXIT_TERMINATED,
+    EXIT_UNEXPECTED,
+    AmslicerError,
+    UsageError,
+)
+
+USAGE = """\
+  amslicer PART --fields FIELDS.yaml [-o OUT] [options]   slice (PART: stl obj ply off glb 3mf)
+  amslicer verify OUT [--fields FIELDS.yaml]              check a written stack against its (or other) fields
+  amslicer preview OUT [--layer N] [-o FILE]              pictures of a stack
+  amslicer devices                                        OpenCL devices, and whether each really works
+  amslicer printers                                       the printer profiles
+  amslicer init [FIELDS.yaml]                             write a commented starter file
+  amslicer COMMAND --help                                 the options of a command (amslicer slice --help)
+"""
+EPILOG = """\
+exit codes: 0 done, 1 unexpected, 2 usage, 3 job, fields or printer, 4 part, 5 OpenCL device,
+6 reading or writing files, 7 verification failed, 130 interrupted, 143 terminated"""
+# Commands of the language that this version does not have yet.
+PLANNED = ("info", "convert", "check", "batch", "gallery", "schema")
+
+
+class Terminated(BaseException):
+    """SIGTERM arrived."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Runs one command and returns its exit code; errors become one `error:` line and a `hint:`."""
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    debug = "--debug" in words
+    previous = signal.signal(signal.SIGTERM, _terminate)
+    try:
+        return _run(words)
+    except AmslicerError as error:
+        if debug:
+            raise
+        _say(f"error: {error.message}")
+        if error.hint:
+            _say(f"hint: {error.hint}")
+        return error.exit_code
+    except KeyboardInterrupt:
+        _say("error: interrupted; the stack is not finished")
+        _say("hint: run the same command again with --overwrite")
+        return EXIT_INTERRUPTED
+    except Terminated:
+        _say("error: terminated; the stack is not finished")
+        _say("hint: run the same command again with --overwrite")
+        return EXIT_TERMINATED
+    except BrokenPipeError:  # whoever read our output has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    except Exception as error:
+        if debug:
+            raise
+        _say(f"error: unexpected {type(error).__name__}: {error}")
+        _say("hint: this is a fault of amslicer; run again with --debug and report what it prints")
+        return EXIT_UNEXPECTED
+    finally:
+        signal.signal(signal.SIGTERM, previous)
+
+
+def _run(words: list[str]) -> int:
+    if not words or words[0] in ("-h", "--help"):
+        print(f"amslicer {__version__}: graded multi-material laminates, as per-material bitmaps\n\n{USAGE}\n{EPILOG}")
+        return 0
+    if words[0] == "--version":
+        print(f"amslicer {__version__}")
+        return 0
+    name = words[0]
+    if name in PLANNED and not Path(name).exists():
+        raise UsageError(f"`amslicer {name}` is not built yet in this version", hint="see amslicer --help")
+    if name in COMMANDS:
+        words = words[1:]
+    else:
+        name = "slice"
+    add_options, command = COMMANDS[name]
+    usage = "amslicer PART --fields FIELDS.yaml [-o OUT] [options]" if name == "slice" else None
+    parser = _Parser(
+        prog=f"amslicer {name}", usage=usage, description=add_options.__doc__, epilog=EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter, allow_abbrev=False,
+    )  # fmt: skip
+    add_options(parser)
+    parser.add_argument("--debug", action="store_true", help="show the traceback of an error")
+    options = parser.parse_args(words)
+    if getattr(options, "jobs", None) is not None:
+        # Before NumPy is imported: its linear algebra threads are bounded too.
+        os.environ.setdefault("OPENBLAS_NUM_THREADS", str(options.jobs))
+        os.environ.setdefault("OMP_NUM_THREADS", str(options.jobs))
+    from amslicer import commands
+
+    run: Callable[[argparse.Namespace], int] = getattr(commands, command)
+    return run(options)
+
+
+class _Parser(argparse.ArgumentParser):
+    """argparse with our errors and exit code."""
+
+    def error(self, message: str) -> NoReturn:
+        raise UsageError(message, hint=f"`{self.prog} --help` lists the options; `amslicer --help` the commands")
+
+
+def _slice_options(parser: argparse.ArgumentParser) -> None:
+    """Slices a part with its painted fields into a stack of per-material bitmaps."""
+    parser.add_argument("part", metavar="PART", help="the mesh: stl, obj, ply, off, glb or 3mf")
+    parser.add_argument("--fields", metavar="FIELDS.yaml", help="the job file (`amslicer init` writes one)")
+    parser.add_argument("-o", "--out", metavar="OUT", help="folder of the stack; default: PART's name without suffix")
+    job = parser.add_argument_group("what is printed (each overrides a key of the job file)")
+    job.add_argument("--printer", metavar="NAME|FILE", help="printer profile (`amslicer printers`)")
+    job.add_argument("--format", metavar="F", help="output format: png")
+    job.add_argument("--compression", choices=("fast", "small"), help="of the files; default: fast")
+    job.add_argument("--evaluate", choices=("lattice", "exact"), help="how G is computed; this version: always exact")
+    job.add_argument("--seed", type=int, metavar="N", help="of the noise")
+    job.add_argument("--scale", type=float, metavar="F", help="factor on the part's lengths")
+    job.add_argument("--units", choices=("mm", "cm", "m", "inch"), help="what one unit of the part's file is")
+    job.add_argument(
+        "--set", action="append", default=[], metavar="KEY=VALUE", dest="overrides",
+        help="any dotted key of the job file, repeatable: --set pattern.period=0.8",
+    )  # fmt: skip
+    run = parser.add_argument_group("how it is computed (changes no byte, but for the device)")
+    run.add_argument("--layers", type=_layer_range, metavar="A:B", help="only these layers; half-open, like Python's")
+    run.add_argument("--device", metavar="SUBSTRING", help="part of an OpenCL device's name (`amslicer devices`)")
+    run.add_argument("--jobs", type=_positive, metavar="N", help="threads, the device's on CPUs included; default: all")
+    run.add_argument("--overwrite", action="store_true", help="replace a stack in OUT; deletes nothing else")
+    run.add_argument("--resume", action="store_true", help="not built yet in this version")
+    run.add_argument("--dry-run", action="store_true", help="say grid, layers, size and time; write nothing")
+    _output_options(run)
+
+
+def _verify_options(parser: argparse.ArgumentParser) -> None:
+    """Checks a written stack: files, hashes, sizes, counts, partition, and ratios against the painted fields."""
+    parser.add_argument("out", metavar="OUT", help="folder of the stack")
+    parser.add_argument("--fields", metavar="FIELDS.yaml", help="compare with these fields instead of the stack's own")
+    parser.add_argument("--report", metavar="FILE", help="not built yet in this version")
+    parser.add_argument("--jobs", type=_positive, metavar="N", help="threads; default: all")
+    _output_options(parser)
+
+
+def _preview_options(parser: argparse.ArgumentParser) -> None:
+    """Makes a picture of a stack: a contact sheet, or one layer at full size, in true aspect."""
+    parser.add_argument("out", metavar="OUT", help="folder of the stack")
+    parser.add_argument("--layer", type=int, metavar="N", help="this layer alone, every pixel of it")
+    parser.add_argument("-o", "--output", metavar="FILE", help="picture file; default: OUT-preview.png beside OUT")
+
+
+def _devices_options(parser: argparse.ArgumentParser) -> None:
+    """Lists the OpenCL devices and tries each in a process of its own. Exit code 5 when none works."""
+    parser.add_argument("--refresh", action="store_true", help="try again those that worked before")
+    _output_options(parser)
+
+
+def _printers_options(parser: argparse.ArgumentParser) -> None:
+    """Lists the printer profiles that come with amslicer."""
+    _output_options(parser)
+
+
+def _init_options(parser: argparse.ArgumentParser) -> None:
+    """Writes a commented job file to start from."""
+    parser.add_argument("file", nargs="?", default="fields.yaml", metavar="FIELDS.yaml", help="default: fields.yaml")
+
+
+def _output_options(parser: argparse.ArgumentParser | argparse._ArgumentGroup) -> None:
+    parser.add_argument("--json", action="store_true", help="print the result as JSON")
+    parser.add_argument("--quiet", action="store_true", help="print nothing but errors (and --json)")
+
+
+# Name -> (its options, its function in commands).
+COMMANDS: dict[str, tuple[Callable[[argparse.ArgumentParser], None], str]] = {
+    "slice": (_slice_options, "slice_command"),
+    "verify": (_verify_options, "verify_command"),
+    "preview": (_preview_options, "preview_command"),
+    "devices": (_devices_options, "devices_command"),
+    "printers": (_printers_options, "printers_command"),
+    "init": (_init_options, "init_command"),
+}
+
+
+def _layer_range(text: str) -> tuple[int | None, int | None]:
+    first, colon, end = text.partition(":")
+    try:
+        if not colon:
+            raise ValueError
+        return (int(first) if first else None, int(end) if end else None)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"must be A:B like Python's slices (0:10, 5:, :20), but is '{text}'") from None
+
+
+def _positive(text: str) -> int:
+    if not text.isdecimal() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f"must be a whole number from 1, but is '{text}'")
+    return int(text)
+
+
+def _terminate(signum: int, frame: FrameType | None) -> NoReturn:
+    raise Terminated
+
+
+def _say(text: str) -> None:
+    print(text, file=sys.stderr)

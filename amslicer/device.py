@@ -114,13 +114,13 @@ class Device:
         import pyopencl as cl
 
         device = cl.get_platforms()[self.info.platform_index].get_devices()[self.info.device_index]
-        self._root = device
-        if jobs is not None and device.type & cl.device_type.CPU and device.max_compute_units > jobs:
-            device = device.create_sub_devices([cl.device_partition_property.BY_COUNTS, jobs, 0])[0]
+        if jobs is not None and self.is_cpu and device.max_compute_units > jobs:
+            partition: list[Any] = [cl.device_partition_property.BY_COUNTS, jobs, 0]
+            device = device.create_sub_devices(partition)[0]
         self.device = device
         self.context = cl.Context([device])
         self.queue = cl.CommandQueue(self.context, device)
-        self._kernels: dict[tuple[str, str, tuple[tuple[str, int], ...]], Any] = {}
+        self._kernels: dict[tuple[str, tuple[tuple[str, int], ...]], Any] = {}
 
     @property
     def label(self) -> str:
@@ -137,14 +137,13 @@ class Device:
         """Native float vector width, 1 to 16."""
         return int(min(16, max(1, self.device.native_vector_width_float)))
 
-    def kernel(self, file: str, name: str | None = None, **constants: int) -> Any:
-        """The kernel `name` (default: as the file) of cl/`file`.cl, built once with these constants."""
+    def kernel(self, file: str, constants: Mapping[str, int] | None = None) -> Any:
+        """The kernel of cl/`file`.cl (it has the file's name), built once with these constants."""
         import pyopencl as cl
 
-        name = name or file
-        key = (file, name, tuple(sorted(constants.items())))
+        key = (file, tuple(sorted((constants or {}).items())))
         if key not in self._kernels:
-            self._kernels[key] = cl.Kernel(build(self.context, self.device, file, constants), name)
+            self._kernels[key] = cl.Kernel(build(self.context, self.device, file, constants or {}), file)
         return self._kernels[key]
 
     def run(self, kernel: Any, size: int | tuple[int, int], *arguments: Any) -> None:
@@ -180,7 +179,7 @@ class Device:
         import pyopencl as cl
 
         buffer = self.empty(nbytes)
-        cl.enqueue_fill_buffer(self.queue, buffer, np.uint8(0), 0, max(nbytes, 4))
+        cl.enqueue_fill_buffer(self.queue, buffer, np.zeros(1, np.uint8), 0, max(nbytes, 4))
         return buffer
 
     def read(self, buffer: Any, out: NDArray[np.generic]) -> None:

@@ -62,12 +62,15 @@ class Evaluator:
         return len(self.lists.tiles) * TILE * TILE * 2
 
     def field(self, out: Any, first: int, count: int) -> None:
-        """Enqueues G of the layers first … first + count - 1 into `out`: float32 [layers][tiles][TILE rows][re, im][TILE columns]."""
+        """Enqueues G of the layers first … first + count - 1 into `out`.
+
+        Layout: float32 [layers][tiles][TILE rows][real, imaginary][TILE columns].
+        """
         if len(self.lists.tiles) == 0:
             return
         if self._tables is None:
             self._tables = [self._table(a) for a in (0, 1)]
-        self.device.kernel("rank1", **self._constants())(
+        self.device.kernel("rank1", self._constants())(
             self.device.queue, (count, len(self.lists.tiles)), (1, 1), out, *self._lists,
             *self._tables, *self._axes, self._along_z(first, count), np.uint32(len(self.kernels)),
         )  # fmt: skip
@@ -76,7 +79,7 @@ class Evaluator:
         """The same G, each kernel's exponential, sine and cosine computed at each pixel."""
         if len(self.lists.tiles) == 0:
             return
-        self.device.kernel("per_pixel", **self._constants())(
+        self.device.kernel("per_pixel", self._constants())(
             self.device.queue, (TILE, TILE * len(self.lists.tiles), count), (TILE, 1, 1), out, *self._lists,
             self._shape, *self._axes, self._along_z(first, count), np.uint32(len(self.kernels)),
             np.float32(self.grid.pitch_mm[0]), np.float32(self.grid.pitch_mm[1]),
@@ -101,7 +104,7 @@ class Evaluator:
         slots, count = constants["SLOTS"], len(self.kernels)
         table = self.device.empty(count * slots * 2 * TILE * 4)
         if count:
-            kernel = self.device.kernel("tables", **constants)
+            kernel = self.device.kernel("tables", constants)
             pitch = np.float32(self.grid.pitch_mm[axis])
             kernel(self.device.queue, (count,), (1,), table, self._axes[axis], self._shape, pitch)
         return table

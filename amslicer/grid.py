@@ -57,11 +57,11 @@ class Grid:
 
     def x_mm(self) -> NDArray[np.float64]:
         """(columns,) pixel centres along x."""
-        return (np.arange(self.columns) + 0.5) * self.pitch_mm[0]
+        return centre_mm(np.arange(self.columns), self.pitch_mm[0])
 
     def y_mm(self) -> NDArray[np.float64]:
         """(rows,) pixel centres along y, ascending."""
-        return (np.arange(self.rows) + 0.5) * self.pitch_mm[1]
+        return centre_mm(np.arange(self.rows), self.pitch_mm[1])
 
     def z_mm(self, layer: int) -> float:
         """Mid-height of a layer."""
@@ -73,9 +73,7 @@ class Grid:
         return (x - self.margin_px * self.pitch_mm[0], y - self.margin_px * self.pitch_mm[1], z)
 
 
-def cover(
-    size_mm: Sequence[float], pitch_mm: tuple[float, float], layer_mm: float, margin_px: int = 0
-) -> Grid:
+def cover(size_mm: Sequence[float], pitch_mm: tuple[float, float], layer_mm: float, margin_px: int = 0) -> Grid:
     """The grid over a bounding box of this size: ceil(size / pitch - 1e-3) pixels and layers, at least 1."""
     columns, rows, layers = (
         max(1, math.ceil(float(size) / pitch - SIZE_SLACK_PX))
@@ -94,4 +92,4 @@ def first_centre(position_mm: NDArray[np.float64], pitch_mm: float) -> NDArray[n
 
 def centre_mm(index: NDArray[np.int64], pitch_mm: float) -> NDArray[np.float64]:
     """Positions of pixel (or layer) centres."""
-    return (index + 0.5) * pitch_mm
+    return (index.astype(np.float64) + 0.5) * pitch_mm

@@ -47,13 +47,11 @@ class Job:
 
     def sources(self) -> Iterator[Source]:
         """Every field of the job that is not a plain number."""
-        return (source for _, source in _find_sources(self.spec.model_dump(mode="python"), self.spec))
+        return _find_sources(self.spec)
 
     def digest(self, part_sha256: str, device_label: str, version: str) -> str:
         """SHA-256 over everything that can change a byte of the stack (and nothing else)."""
-        named = dict.fromkeys((path for source in self.sources() for path in source.paths()), None)
-        digests = [hashlib.sha256(self.inputs.read(path)).hexdigest() for path in named]
-        renamed = {path: digest for path, digest in zip(named, digests, strict=True)}
+        renamed = {path: hashlib.sha256(self.inputs.read(path)).hexdigest() for path in self.input_paths()}
         content = {
             "job": _dump(self.spec, renamed),
             "part": part_sha256,
@@ -170,7 +168,7 @@ def _explain(error: ValidationError, content: dict[str, Any], name: str, places:
     key = ".".join(map(str, path)) or "the job file"
     found: Any = content
     for step in path:
-        found = found[step] if isinstance(found, dict | list) and not _missing(found, step) else None
+        found = _child(found, step)
     at = next((places[path[:n]] for n in range(len(path), 0, -1) if path[:n] in places), None)
     where = f"{name}, line {at[0]}, column {at[1]}" if at else name
     hint = f"{len(errors) - 1} more problems after this one" if len(errors) > 1 else None
@@ -195,8 +193,11 @@ def _shown(value: Any) -> str:
     return text if len(text) <= 80 else text[:77] + "…"
 
 
-def _missing(node: Any, step: str | int) -> bool:
-    return step not in node if isinstance(node, dict) else not (isinstance(step, int) and step < len(node))
+def _child(node: Any, step: str | int) -> Any:
+    """What stands under a key or index, or None."""
+    if isinstance(node, dict):
+        return node.get(step)
+    return node[step] if isinstance(node, list) and isinstance(step, int) and step < len(node) else None
 
 
 def _real_path(loc: tuple[int | str, ...], content: Any) -> tuple[int | str, ...]:
@@ -204,9 +205,9 @@ def _real_path(loc: tuple[int | str, ...], content: Any) -> tuple[int | str, ...
     path: list[int | str] = []
     node = content
     for step in loc:
-        if isinstance(node, dict | list) and not _missing(node, step):
+        if (isinstance(node, dict) and step in node) or (isinstance(node, list) and isinstance(step, int)):
             path.append(step)
-            node = node[step]
+            node = _child(node, step)
     return tuple(path)
 
 
@@ -259,16 +260,16 @@ def _refuse_unbuilt(spec: JobFile, name: str) -> None:
         raise JobError(f"{name}: fields.ratio must be between 0 and 1, but it is {fields.ratio}")
 
 
-def _find_sources(dumped: Any, node: Any) -> Iterator[tuple[str, Source]]:
+def _find_sources(node: Any) -> Iterator[Source]:
     from pydantic import BaseModel
 
     from amslicer.fields.source import Source
 
     if isinstance(node, Source):
-        yield "", node
+        yield node
     elif isinstance(node, BaseModel):
         for key in type(node).model_fields:
-            yield from _find_sources(None, getattr(node, key))
+            yield from _find_sources(getattr(node, key))
 
 
 def _dump(spec: JobFile, renamed: Mapping[str, str]) -> dict[str, Any]:

@@ -105,11 +105,7 @@ def read_manifest(folder: Path) -> dict[str, Any]:
     """
     file = folder / MANIFEST
     if not file.is_file():
-        hint = (
-            "its run was interrupted: run it again with --overwrite"
-            if (folder / JOB_FILE).is_file()
-            else None
-        )
+        hint = "its run was interrupted: run it again with --overwrite" if (folder / JOB_FILE).is_file() else None
         raise StorageError(f"'{folder}' is not a finished stack: it has no {MANIFEST}", hint=hint)
     with storage_errors("read", file):
         content = file.read_bytes()
@@ -142,9 +138,7 @@ def placement_of(manifest: dict[str, Any], scale: float) -> Placement:
     low_corner, high_corner = np.array(part["bbox_mm"], float)
     file_minimum = np.array(part["file_bbox_mm"][0], float)
     low = low_corner - matrix[:3, 3] - matrix[:3, :3] @ file_minimum
-    return Placement(
-        matrix[:3, :3] / scale, scale, low, high_corner - low_corner, low_corner, file_minimum, 0.0
-    )
+    return Placement(matrix[:3, :3] / scale, scale, low, high_corner - low_corner, low_corner, file_minimum, 0.0)
 
 
 def records_of(manifest: dict[str, Any]) -> list[LayerRecord]:

@@ -122,9 +122,7 @@ def _solid(soup: _Soup, name: str, sha256: str, unit_mm: float) -> Mesh:
     needs = ""
     if soup.unsupported:
         extensions = ", ".join(soup.unsupported)
-        needs = (
-            f"needs the 3MF extension {extensions} (not implemented): its mesh may only stand in for the part"
-        )
+        needs = f"needs the 3MF extension {extensions} (not implemented): its mesh may only stand in for the part"
     try:
         _check_arrays(soup.vertices, soup.triangles)
         used, corners = np.unique(soup.triangles, return_inverse=True)
@@ -163,9 +161,7 @@ def _read_bytes(path: Path) -> bytes:
         if not stat.S_ISREG(kind):
             raise PartError("is not a regular file", hint="copy the mesh to a file first")
         if _suffix(path) not in _READERS:
-            raise PartError(
-                f"unsupported file type '{path.suffix}'", hint=f"use one of {', '.join(_READERS)}"
-            )
+            raise PartError(f"unsupported file type '{path.suffix}'", hint=f"use one of {', '.join(_READERS)}")
         data = path.read_bytes()
     except FileNotFoundError:
         raise PartError(f"no such file ({path})", hint="check the path of the part") from None
@@ -186,9 +182,7 @@ def _read_soup(data: bytes, path: Path) -> _Soup:
     except PartError:
         raise
     except Exception as error:  # parsers raise whatever they trip over
-        raise PartError(
-            f"cannot be read as {_suffix(path)} ({type(error).__name__}: {error})", hint=EXPORT
-        ) from error
+        raise PartError(f"cannot be read as {_suffix(path)} ({type(error).__name__}: {error})", hint=EXPORT) from error
 
 
 def _trimesh_reader(data: bytes, suffix: str) -> dict[str, Any]:
@@ -409,8 +403,7 @@ def _describe(surface: _Surface, body: int, minimum_mm: Floats) -> str:
     own = surface.vertices[surface.triangles[surface.body == body]].reshape(-1, 3) + minimum_mm
     low, high = (", ".join(f"{value:.6g}" for value in end) for end in (own.min(axis=0), own.max(axis=0)))
     return (
-        f"body {body} of {len(surface.volumes)} (from ({low}) to ({high}) mm, volume "
-        f"{surface.volumes[body]:.6g} mm3)"
+        f"body {body} of {len(surface.volumes)} (from ({low}) to ({high}) mm, volume {surface.volumes[body]:.6g} mm3)"
     )
 
 

@@ -77,9 +77,7 @@ class Painted:
         out = np.empty((grid.rows, grid.columns), np.float32)
         for first in range(0, grid.rows, RATIO_ROWS):
             y = grid.y_mm()[first : first + RATIO_ROWS, None]
-            values = np.broadcast_to(
-                self.ratio.scalar(*self.placement.to_field(x, y, z)), (len(y), grid.columns)
-            )
+            values = np.broadcast_to(self.ratio.scalar(*self.placement.to_field(x, y, z)), (len(y), grid.columns))
             wrong = ~((values >= -RATIO_ROUNDING) & (values <= 1 + RATIO_ROUNDING))
             if wrong.any():
                 row, column = np.argwhere(wrong)[0]
@@ -148,7 +146,10 @@ class Pattern:
         self._sheets: dict[int, Kernels] = {}
 
     def labels(self, runs: Runs, first: int) -> NDArray[np.uint8]:
-        """Labels of the layers first, first + 1, …: (layers, rows, columns), 0 = empty, m = material m, row 0 = lowest y.
+        """Labels of the layers first, first + 1, …: 0 empty, m = material m.
+
+        Returns:
+            (layers, rows, columns) uint8, row 0 = lowest y.
 
         Args:
             runs: the solid pixels; the layers lie in one block of TILE_LAYERS.
@@ -203,23 +204,15 @@ class Pattern:
         window = slice(corner, corner + grid.height_px), slice(corner, corner + grid.width_px)
         return (re + 1j * im)[window].astype(np.complex64)
 
-    def _label_tiles(
-        self, labels: NDArray[np.uint8], runs: Runs, tiles: NDArray[np.int32], first: int
-    ) -> None:
+    def _label_tiles(self, labels: NDArray[np.uint8], runs: Runs, tiles: NDArray[np.int32], first: int) -> None:
         """Writes the labels of the listed tiles into (layers, padded rows, padded columns)."""
         solid = self._solid(runs)
         out = self.device.zeros(labels.nbytes)
         planar = self._planar_g() if self.planar else None
         evaluator = None if planar else self._evaluator(first, runs.layers, tiles)
-        slots = (
-            planar.slot_of_tile[tiles[:, 1], tiles[:, 0]]
-            if planar
-            else np.arange(len(tiles), dtype=np.uint32)
-        )
+        slots = planar.slot_of_tile[tiles[:, 1], tiles[:, 0]] if planar else np.arange(len(tiles), dtype=np.uint32)
         field_tiles = planar.slot_of_tile.size if planar else len(tiles)
-        at_once = (
-            runs.layers if evaluator is None else max(1, FIELD_BYTES // (4 * evaluator.floats_per_layer))
-        )
+        at_once = runs.layers if evaluator is None else max(1, FIELD_BYTES // (4 * evaluator.floats_per_layer))
         if self.painted.ratio_depends_on_z:
             at_once = 1
         buffer = planar.buffer if planar else None
@@ -228,11 +221,9 @@ class Pattern:
         for start in range(0, runs.layers, at_once):
             count = min(at_once, runs.layers - start)
             if evaluator is not None:
-                buffer = buffer or self.device.empty(
-                    min(at_once, runs.layers) * 4 * evaluator.floats_per_layer
-                )
+                buffer = buffer or self.device.empty(min(at_once, runs.layers) * 4 * evaluator.floats_per_layer)
                 evaluator.field(buffer, first + start, count)
-            self.device.kernel("profile", **work_shape(self.device), SLOTS=1)(
+            self.device.kernel("profile", {**work_shape(self.device), "SLOTS": 1})(
                 self.device.queue, (TILE, len(tiles), count), (TILE, 1, 1),
                 out.get_sub_region(start * plane, count * plane), buffer,
                 solid.get_sub_region(start * plane, count * plane), self._threshold_buffer(first + start),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
@@ -70,9 +71,7 @@ class Prepared:
         """What a person should know about the part, in sentences."""
         notes = list(self.mesh.notes)
         if self.placement.lifted_mm < 0:
-            notes.append(
-                f"the part was {-self.placement.lifted_mm:.3f} mm above the bed: moved down to z = 0"
-            )
+            notes.append(f"the part was {-self.placement.lifted_mm:.3f} mm above the bed: moved down to z = 0")
         elif self.placement.lifted_mm > 0:
             notes.append(f"the part was {self.placement.lifted_mm:.3f} mm below the bed: moved up to z = 0")
         return notes
@@ -87,9 +86,7 @@ def prepare(job: Job) -> Prepared:
     """
     spec = job.spec
     mesh = read_mesh(job.part, spec.part.units)
-    placement, vertices = place(
-        mesh, scale=spec.part.scale, rotate_deg=spec.part.rotate, on_bed=spec.part.on_bed
-    )
+    placement, vertices = place(mesh, scale=spec.part.scale, rotate_deg=spec.part.rotate, on_bed=spec.part.on_bed)
     printer = spec.printer
     grid = cover(placement.size_mm.tolist(), printer.pitch_mm, printer.layer_height_mm, printer.margin_px)
     _refuse_absurd(job, grid, placement)
@@ -141,9 +138,7 @@ def layers(job: Job, run: Run | None = None) -> Iterator[Layer]:
     prepared = prepare(job)
     with Device(run.device, run.jobs) as device, host_threads(run) as pool:
         pattern = Pattern(job, prepared.painted, prepared.grid, device)
-        for batch in make_layers(
-            prepared, pattern, pool, layer_range(run, prepared.grid.layers), run.threads
-        ):
+        for batch in make_layers(prepared, pattern, pool, layer_range(run, prepared.grid.layers), run.threads):
             yield from (made.layer for made in batch)
 
 
@@ -220,3 +215,54 @@ def host_threads(run: Run) -> Iterator[ThreadPoolExecutor]:
         yield pool
     finally:
         pool.shutdown(wait=True, cancel_futures=True)
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """What a job would make, judged from a few of its layers.
+
+    Attributes:
+        bytes: size of all bitmaps, about.
+        seconds: time for all layers, about.
+    """
+
+    width_px: int
+    height_px: int
+    layers: int
+    files: int
+    bytes: int
+    seconds: float
+    device: str
+
+
+def estimate(job: Job, run: Run, samples: int) -> Estimate:
+    """Makes a few layers in memory and scales up their time and size.
+
+    Args:
+        samples: layers to make, evenly spaced.
+    """
+    from amslicer.writers import WRITERS
+
+    prepared = prepare(job)
+    grid, output = prepared.grid, job.spec.output
+    chosen = layer_range(run, grid.layers)
+    size, seconds, made = 0, 0.0, 0
+    with Device(run.device, run.jobs) as device, host_threads(run) as pool:
+        pattern = Pattern(job, prepared.painted, grid, device)
+        # A short run of layers at each place, since neighbours share most of their work; the first only warms up.
+        places = [chosen[len(chosen) * (2 * i + 1) // (2 * samples)] for i in range(min(samples, len(chosen)))]
+        for number, place in enumerate([places[0], *places]):
+            started = time.monotonic()
+            some = range(place, min(place + TILE_LAYERS // 2, chosen.stop))
+            for batch in make_layers(prepared, pattern, pool, some, run.threads):
+                files = pool.map(lambda m: WRITERS[output.format](m.layer, grid.pitch_mm, output.compression), batch)
+                if number:
+                    size += sum(len(content) for layer in files for _, _, content in layer)
+                    made += len(batch)
+            seconds += time.monotonic() - started if number else 0.0
+        label = device.label
+    share = len(chosen) / made
+    return Estimate(
+        grid.width_px, grid.height_px, len(chosen), len(chosen) * len(job.materials),
+        round(size * share), seconds * share, label,
+    )  # fmt: skip

@@ -57,11 +57,7 @@ class Placement:
         inverse = self.rotation.T / self.scale
         out = []
         for row in inverse:
-            terms = [
-                side * factor if factor != 1 else side
-                for factor, side in zip(row, sides, strict=True)
-                if factor
-            ]
+            terms = [side * factor if factor != 1 else side for factor, side in zip(row, sides, strict=True) if factor]
             total = terms[0]
             for term in terms[1:]:
                 total = total + term

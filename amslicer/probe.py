@@ -46,11 +46,18 @@ def list_devices() -> list[dict[str, Any]]:
                     "platform": platform.name.strip(),
                     "name": device.name.strip(),
                     "version": f"{device.version.strip()} / {device.driver_version.strip()}",
-                    "type": cl.device_type.to_string(device.type).lower(),
+                    "type": _type_name(device.type),
                     "compute_units": device.max_compute_units,
                 }
             )
     return found
+
+
+def _type_name(flags: int) -> str:
+    import pyopencl as cl
+
+    kinds = (("gpu", cl.device_type.GPU), ("cpu", cl.device_type.CPU), ("accelerator", cl.device_type.ACCELERATOR))
+    return next((name for name, flag in kinds if flags & flag), "other")
 
 
 def try_device(platform_index: int, device_index: int) -> str:

@@ -67,10 +67,12 @@ def _compile(context: Any, device: Any, source: Path, headers: list[Path], optio
             # pyopencl's own cache of binaries is for programs without headers; ours takes its place.
             warnings.filterwarnings("ignore", message="Pre-build attribute access")
             compiled = program.compile(options=options, devices=[device], headers=included)
-            return cl.link_program(context, [compiled], devices=[device])
+            return cl.link_program(  # type: ignore[no-untyped-call]
+                context, [compiled], devices=[device]
+            )
     except cl.Error as error:
         with suppress(cl.Error):
-            log = program.get_build_info(device, cl.program_build_info.LOG)
+            log = program.get_build_info(device, cl.program_build_info.LOG)  # type: ignore[no-untyped-call]
         raise DeviceError(
             f"the OpenCL compiler of '{device.name.strip()}' refused {source.name}: {_few_lines(f'{error} {log}')}",
             hint="see `amslicer devices` for devices that work; PoCL also needs `ld` (package binutils)",

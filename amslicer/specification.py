@@ -42,17 +42,11 @@ class Printer(Model):
 
     name: str | None = Field(default=None, description="the profile that this grid comes from")
     description: str | None = None
-    dpi: Positive | tuple[Positive, Positive] | None = Field(
-        default=None, description="dots per inch, or [x, y]"
-    )
-    pitch_um: Positive | tuple[Positive, Positive] | None = Field(
-        default=None, description="pixel size, or [x, y]"
-    )
+    dpi: Positive | tuple[Positive, Positive] | None = Field(default=None, description="dots per inch, or [x, y]")
+    pitch_um: Positive | tuple[Positive, Positive] | None = Field(default=None, description="pixel size, or [x, y]")
     layer_mm: Positive | None = Field(default=None, description="layer height")
     layer_um: Positive | None = Field(default=None, description="layer height")
-    margin_px: Annotated[Whole, Field(ge=0, le=10_000)] = Field(
-        default=0, description="empty pixels on each side"
-    )
+    margin_px: Annotated[Whole, Field(ge=0, le=10_000)] = Field(default=0, description="empty pixels on each side")
 
     @model_validator(mode="after")
     def _one_of_each(self) -> Printer:
@@ -98,9 +92,7 @@ class Material(Model):
     """One printable material."""
 
     name: str = Field(pattern=MATERIAL_NAME, description="also the name of its folder")
-    color: str = Field(
-        pattern=r"^#[0-9A-Fa-f]{6}$", description="#rrggbb, for pictures; default: one of a list"
-    )
+    color: str = Field(pattern=r"^#[0-9A-Fa-f]{6}$", description="#rrggbb, for pictures; default: one of a list")
     density_g_cm3: Positive | None = Field(default=None, description="for the weights in the summary")
 
     @field_validator("name")
@@ -115,19 +107,13 @@ class Pattern(Model):
     """The laminate's noise and profile."""
 
     noise: Literal[NOISES] = Field(default="phasor", description="the random field")  # type: ignore[valid-type]
-    dimensions: Literal[2, 3] = Field(
-        default=3, description="3: solid laminate; 2: the same pattern in every layer"
-    )
-    period: FieldSpec = Field(
-        default=1.0, description="mm between two sheets of a material, in the printed part"
-    )
+    dimensions: Literal[2, 3] = Field(default=3, description="3: solid laminate; 2: the same pattern in every layer")
+    period: FieldSpec = Field(default=1.0, description="mm between two sheets of a material, in the printed part")
     bandwidth: Annotated[Number, Field(gt=0, le=2)] = Field(default=0.5, description="relative to 1/period")
     impulses: Annotated[Number, Field(gt=0, le=100)] | None = Field(
         default=None, description="kernels per bandwidth^dimensions; default per noise"
     )
-    alignment: Annotated[Whole, Field(ge=0, le=10_000)] = Field(
-        default=0, description="phase-alignment sweeps"
-    )
+    alignment: Annotated[Whole, Field(ge=0, le=10_000)] = Field(default=0, description="phase-alignment sweeps")
     evaluate: Literal["lattice", "exact"] = Field(default="lattice", description="how G is computed")
     profile: Literal[PROFILES] = Field(default="pwm", description="phase to material")  # type: ignore[valid-type]
     seed: Annotated[Whole, Field(ge=0, le=MAX_SEED)] = 1
@@ -141,9 +127,7 @@ class AzimuthElevation(Model):
 
 
 def _orientation_kind(value: Any) -> str:
-    if isinstance(value, AzimuthElevation) or (
-        isinstance(value, dict) and {"azimuth", "elevation"} & set(value)
-    ):
+    if isinstance(value, AzimuthElevation) or (isinstance(value, dict) and {"azimuth", "elevation"} & set(value)):
         return "azimuth/elevation"
     return "field"
 
@@ -168,9 +152,7 @@ class Output(Model):
     """How the stack is written."""
 
     format: Literal["png"] = Field(default="png", description="files of the stack")
-    compression: Literal["fast", "small"] = Field(
-        default="fast", description="size against speed of the files"
-    )
+    compression: Literal["fast", "small"] = Field(default="fast", description="size against speed of the files")
 
 
 class JobFile(Model):
@@ -178,9 +160,7 @@ class JobFile(Model):
 
     printer: Printer
     part: PartSettings = PartSettings()
-    materials: tuple[Material, ...] = Field(
-        min_length=2, max_length=8, description="in the order of the profile"
-    )
+    materials: tuple[Material, ...] = Field(min_length=2, max_length=8, description="in the order of the profile")
     pattern: Pattern = Pattern()
     fields: Fields
     output: Output = Output()
@@ -192,9 +172,7 @@ class JobFile(Model):
             return value
         named = [{"name": m} if isinstance(m, str) else m for m in value]
         return [
-            {**m, "color": m.get("color") or DEFAULT_COLORS[i % len(DEFAULT_COLORS)]}
-            if isinstance(m, dict)
-            else m
+            {**m, "color": m.get("color") or DEFAULT_COLORS[i % len(DEFAULT_COLORS)]} if isinstance(m, dict) else m
             for i, m in enumerate(named)
         ]
 
@@ -204,9 +182,7 @@ class JobFile(Model):
         names = [m.name.lower() for m in materials]
         for name in names:
             if names.count(name) > 1:
-                raise ValueError(
-                    f"the name '{name}' is used {names.count(name)} times; each needs its own folder"
-                )
+                raise ValueError(f"the name '{name}' is used {names.count(name)} times; each needs its own folder")
         return materials
 
 

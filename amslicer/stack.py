@@ -37,9 +37,7 @@ if TYPE_CHECKING:
     from amslicer.job import Job
     from amslicer.pipeline import Made, Prepared, Progress, Run
 
-JOB_HEADER = (
-    "# written by amslicer: the whole job; slice it again with `amslicer PART --fields` and this file\n"
-)
+JOB_HEADER = "# written by amslicer: the whole job; slice it again with `amslicer PART --fields` and this file\n"
 LAYER_FILE = re.compile(r"\d{5,}\.png(" + re.escape(TEMPORARY) + ")?")
 
 
@@ -125,9 +123,7 @@ def slice_job(
             if progress:
                 progress(len(records), len(chosen))
         digest = job.digest(prepared.mesh.sha256, device.label, __version__)
-        manifest = describe_stack(
-            prepared, records, asked, device=device.label, digest=digest, version=__version__
-        )
+        manifest = describe_stack(prepared, records, asked, device=device.label, digest=digest, version=__version__)
     write_atomically(out / MANIFEST, json_bytes(manifest))
     return _result(out, manifest, prepared, time.monotonic() - started)
 
@@ -217,9 +213,7 @@ def _job_yaml(job: Job, renamed: dict[str, str]) -> bytes:
 def _remove_stack(out: Path) -> None:
     """Removes a stack that amslicer wrote (finished or not), and nothing else."""
     job_file = out / JOB_FILE
-    if not (
-        job_file.is_file() and job_file.read_text(encoding="utf-8", errors="replace").startswith(JOB_HEADER)
-    ):
+    if not (job_file.is_file() and job_file.read_text(encoding="utf-8", errors="replace").startswith(JOB_HEADER)):
         return
     from amslicer.yamlfile import read_yaml
 
@@ -231,8 +225,8 @@ def _remove_stack(out: Path) -> None:
                 if LAYER_FILE.fullmatch(file.name):
                     file.unlink()
             _remove_if_empty(folder)
-    for file in _inputs_of(content):
-        (out / file).unlink(missing_ok=True)
+    for name in _inputs_of(content):
+        (out / name).unlink(missing_ok=True)
     _remove_if_empty(out / INPUTS)
     (out / MANIFEST).unlink(missing_ok=True)
     job_file.unlink()

@@ -146,9 +146,7 @@ def _check_members(members: list[zipfile.ZipInfo]) -> None:
         if plain.lower() in seen:
             raise PartError(f"member {member.filename!r} is there twice", hint=hint)
         if member.flag_bits & _ENCRYPTED_FLAG:
-            raise PartError(
-                f"member {member.filename!r} is encrypted", hint="export the part without a password"
-            )
+            raise PartError(f"member {member.filename!r} is encrypted", hint="export the part without a password")
         seen.add(plain.lower())
 
 
@@ -270,9 +268,7 @@ def _count_build(scan: _Scan) -> int:
     return triangles
 
 
-def _count(
-    key: Key, scan: _Scan, counted: dict[Key, tuple[int, int]], above: tuple[Key, ...]
-) -> tuple[int, int]:
+def _count(key: Key, scan: _Scan, counted: dict[Key, tuple[int, int]], above: tuple[Key, ...]) -> tuple[int, int]:
     """(instances, triangles) of an object with its components."""
     if key in above or len(above) > MAX_DEPTH:
         raise PartError(
@@ -341,9 +337,7 @@ def _placed_meshes(model: Any) -> list[tuple[Any, NDArray[np.float64]]]:
     return placed
 
 
-def _expand(
-    resource: Any, transform: NDArray[np.float64], placed: list[tuple[Any, NDArray[np.float64]]]
-) -> None:
+def _expand(resource: Any, transform: NDArray[np.float64], placed: list[tuple[Any, NDArray[np.float64]]]) -> None:
     if resource.IsMeshObject():
         placed.append((resource, transform))
     elif resource.IsComponentsObject():

@@ -82,9 +82,7 @@ def _refuse_indirection(text: str, where: str) -> None:
         name = refused.get(type(token)) or ("several documents" if documents > 1 else None)
         if name:
             mark = token.start_mark
-            raise JobError(
-                f"{where}, line {mark.line + 1}, column {mark.column + 1}: {name} are not accepted"
-            )
+            raise JobError(f"{where}, line {mark.line + 1}, column {mark.column + 1}: {name} are not accepted")
 
 
 def _plain(node: Any, path: KeyPath, places: Places, where: str) -> Any:
@@ -107,6 +105,4 @@ def _plain(node: Any, path: KeyPath, places: Places, where: str) -> Any:
             return kind(node)
     if node is None:
         return None
-    raise JobError(
-        f"{where}: the value {node!r} of '{'.'.join(map(str, path))}' is not a number, word or list"
-    )
+    raise JobError(f"{where}: the value {node!r} of '{'.'.join(map(str, path))}' is not a number, word or list")

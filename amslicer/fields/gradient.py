@@ -32,12 +32,8 @@ class GradientParameters(BaseModel):
     axis: Literal["x", "y", "z"] = Field(description="axis of the part's file")
     from_: Number = Field(alias="from", description="value at the start")
     to: Number = Field(description="value at the end")
-    start: Number | None = Field(
-        default=None, description="mm, file coordinates; default: the box's lower side"
-    )
-    end: Number | None = Field(
-        default=None, description="mm, file coordinates; default: the box's upper side"
-    )
+    start: Number | None = Field(default=None, description="mm, file coordinates; default: the box's lower side")
+    end: Number | None = Field(default=None, description="mm, file coordinates; default: the box's upper side")
 
     @model_validator(mode="after")
     def _distinct_ends(self) -> Self:

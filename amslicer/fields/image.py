@@ -30,9 +30,7 @@ FORMATS = ("PNG", "TIFF")
 # Full scale of the grey modes that Pillow keeps without loss.
 FULL_SCALE = {"1": 1, "L": 255, "I;16": 65535, "I;16L": 65535, "I;16B": 65535}
 MAX_TEXELS = 100_000_000  # larger pictures are refused on their declared size, before decoding
-CONVERT_HINT = (
-    "convert it to a grey picture, for example: magick IN.png -colorspace Gray -alpha off -depth 16 OUT.png"
-)
+CONVERT_HINT = "convert it to a grey picture, for example: magick IN.png -colorspace Gray -alpha off -depth 16 OUT.png"
 
 
 class ImageSource(Source):
@@ -47,9 +45,7 @@ class ImageSource(Source):
 
     @field_validator("box")
     @classmethod
-    def _ordered(
-        cls, box: tuple[float, float, float, float] | None
-    ) -> tuple[float, float, float, float] | None:
+    def _ordered(cls, box: tuple[float, float, float, float] | None) -> tuple[float, float, float, float] | None:
         if box is not None and not (box[0] < box[2] and box[1] < box[3]):
             raise ValueError(f"must be [x0, y0, x1, y1] with x0 < x1 and y0 < y1, but is {list(box)}")
         return box
@@ -141,10 +137,9 @@ def read_grey(content: bytes, name: str) -> tuple[NDArray[np.uint16], int]:
             )
         if picture.mode not in FULL_SCALE:
             raise JobError(f"the picture '{name}' is not grey (mode {picture.mode})", hint=CONVERT_HINT)
-        if getattr(picture, "n_frames", 1) != 1:
-            raise JobError(
-                f"the picture '{name}' has {picture.n_frames} frames; one is needed", hint=CONVERT_HINT
-            )
+        frames = getattr(picture, "n_frames", 1)
+        if frames != 1:
+            raise JobError(f"the picture '{name}' has {frames} frames; one is needed", hint=CONVERT_HINT)
         picture.load()
         return np.asarray(picture).astype(np.uint16), FULL_SCALE[picture.mode]
     except JobError:

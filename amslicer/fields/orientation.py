@@ -49,7 +49,8 @@ def _line_angle(angles_deg: Floats, weights: Floats) -> Floats:
     doubled = np.deg2rad(2 * angles_deg)
     mean = 0.5 * np.arctan2((weights * np.sin(doubled)).sum(axis=0), (weights * np.cos(doubled)).sum(axis=0))
     agree = np.all(angles_deg == angles_deg[0], axis=0)
-    return np.where(agree, np.deg2rad(angles_deg[0]), mean)
+    result: Floats = np.where(agree, np.deg2rad(angles_deg[0]), mean)
+    return result
 
 
 def _flat(angle_rad: Floats) -> Floats:
@@ -71,4 +72,5 @@ def _line_mean(normals: Floats, weights: Floats) -> Floats:
     tensor = np.einsum("kn,kni,knj->nij", weights, normals, normals)
     mean = np.linalg.eigh(tensor)[1][:, :, -1]
     sign = np.where(np.einsum("ni,ni->n", mean, heaviest) < 0, -1.0, 1.0)
-    return np.where(agree[:, None], heaviest, mean * sign[:, None])
+    result: Floats = np.where(agree[:, None], heaviest, mean * sign[:, None])
+    return result

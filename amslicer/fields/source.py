@@ -31,8 +31,11 @@ class Sampler(Protocol):
             texel by texel. None where there is no grid.
     """
 
-    varies: tuple[bool, bool, bool]
-    texels: Hashable | None
+    @property
+    def varies(self) -> tuple[bool, bool, bool]: ...
+
+    @property
+    def texels(self) -> Hashable | None: ...
 
     def scalar(self, x: Floats, y: Floats, z: Floats) -> Floats:
         """Values at points; the coordinates broadcast, and so may the answer."""

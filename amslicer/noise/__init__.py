@@ -5,10 +5,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from amslicer.noise.kernels import Kernels, Noise
 from amslicer.noise.phasor import Phasor
 
-NOISES: dict[str, type[Noise]] = {
+# Name -> maker(period_mm=, bandwidth=, dimensions=, seed=, impulses=default of the noise).
+NOISES: dict[str, Callable[..., Noise]] = {
     "phasor": Phasor,
 }
 

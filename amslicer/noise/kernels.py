@@ -55,8 +55,6 @@ class Kernels:
 class Noise(Protocol):
     """A noise with its parameters, ready to hand out kernels, one layer of cells (a sheet) after another."""
 
-    dimensions: int
-
     @property
     def reach_mm(self) -> float:
         """The largest radius of a kernel."""
@@ -64,9 +62,7 @@ class Noise(Protocol):
     def sheets(self, low_z_mm: float, high_z_mm: float) -> range:
         """The layers of cells whose kernels can reach these heights; range(1) in 2D."""
 
-    def kernels(
-        self, draw: DrawWords, sheet: int, low_mm: Floats, high_mm: Floats, normals: Normals
-    ) -> Kernels:
+    def kernels(self, draw: DrawWords, sheet: int, low_mm: Floats, high_mm: Floats, normals: Normals) -> Kernels:
         """The kernels of one layer of cells that reach a rectangle, in cell order.
 
         Args:
@@ -113,7 +109,7 @@ class Cells:
         z, y, x = np.meshgrid([sheet], *(first[a] + np.arange(count[a]) for a in (1, 0)), indexing="ij")
         cell = np.stack([x, y, z], axis=-1)[:, :, :, None, :]
         place = ((cell + words[..., :3] * WORD) * self.side_mm).reshape(-1, 3)
-        phase = (words[..., 3] * (WORD * 2 * np.pi)).reshape(-1)
+        phase = words[..., 3].astype(np.float64).reshape(-1) * (WORD * 2 * np.pi)
         if self.dimensions == 2:
             place[:, 2] = 0.0
         inside = np.all((place[:, :2] > low_mm) & (place[:, :2] < high_mm), axis=1)

@@ -72,9 +72,7 @@ class Phasor:
         """The layers of cells whose kernels can reach these heights."""
         return self.cells.sheets(low_z_mm - self.radius_mm, high_z_mm + self.radius_mm)
 
-    def kernels(
-        self, draw: DrawWords, sheet: int, low_mm: Floats, high_mm: Floats, normals: Normals
-    ) -> Kernels:
+    def kernels(self, draw: DrawWords, sheet: int, low_mm: Floats, high_mm: Floats, normals: Normals) -> Kernels:
         """The kernels of one layer of cells that reach a rectangle, in cell order."""
         radius = self.radius_mm
         place, phase = self.cells.impulses(draw, self.seed, sheet, low_mm - radius, high_mm + radius)

@@ -1,0 +1,5 @@
+"""python -m amslicer"""
+
+from amslicer.cli import main
+
+raise SystemExit(main())

@@ -1,0 +1,189 @@
+"""What each command of the command line does: reads options, calls the library, prints results."""
+
+from __future__ import annotations
+
+import json
+import sys
+from argparse import Namespace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from amslicer.errors import CheckFailed, DeviceError, JobError, PartError, UsageError
+
+if TYPE_CHECKING:
+    from amslicer.job import Job
+    from amslicer.pipeline import Run
+
+DRY_RUN_SAMPLES = 4  # layers made to estimate time and size
+
+
+def slice_command(options: Namespace) -> int:
+    """amslicer PART --fields FIELDS.yaml"""
+    if not Path(options.part).exists():
+        # A forgotten --fields is likelier than a part of that name: say what is there first.
+        raise PartError(
+            f"there is no part '{options.part}'",
+            hint="name a mesh file (stl obj ply off glb 3mf); `amslicer --help` lists the commands",
+        )
+    if options.fields is None:
+        raise UsageError(
+            f"no fields for '{options.part}': --fields is missing",
+            hint=f"`amslicer init` writes a starter file; then: amslicer {options.part} --fields fields.yaml",
+        )
+    if options.resume:
+        raise UsageError("--resume is not built yet in this version", hint="run again with --overwrite")
+    from amslicer.pipeline import Run
+
+    job = _load(options)
+    run = Run(options.device, options.jobs, options.layers)
+    if options.dry_run:
+        return _dry_run(job, run, options)
+    out = Path(options.out) if options.out else Path(Path(options.part).stem)
+    from amslicer import report
+    from amslicer.stack import slice_job
+
+    with report.progress_bar("slicing", "layers", quiet=options.quiet) as progress:
+        result = slice_job(job, out, run=run, overwrite=options.overwrite, progress=progress)
+    if options.json:
+        print(json.dumps(report.result_dict(result)))
+    elif not options.quiet:
+        report.print_notes(result.notes)
+        report.print_result(result)
+    return 0
+
+
+def _load(options: Namespace) -> Job:
+    from amslicer.job import load_job
+    from amslicer.yamlfile import parse_value
+
+    overrides: dict[str, Any] = {}
+    direct = {
+        "printer": options.printer, "output.format": options.format, "output.compression": options.compression,
+        "pattern.evaluate": options.evaluate, "pattern.seed": options.seed, "part.scale": options.scale,
+        "part.units": options.units,
+    }  # fmt: skip
+    overrides.update({key: value for key, value in direct.items() if value is not None})
+    for setting in options.overrides:
+        key, equals, text = setting.partition("=")
+        if not equals or not key:
+            raise UsageError(f"--set needs KEY=VALUE, but is '{setting}'", hint="for example --set pattern.period=0.8")
+        try:
+            overrides[key] = parse_value(text, f"--set {key}")
+        except JobError as error:
+            raise UsageError(error.message, hint=error.hint) from None
+    try:
+        return load_job(options.fields, options.part, overrides)
+    except JobError as error:
+        # A bad --set is the command line's fault, not the job file's.
+        if any(_blames(error.message, key) for key in overrides):
+            raise UsageError(error.message, hint=error.hint) from None
+        raise
+
+
+def _blames(message: str, key: str) -> bool:
+    return f"{key}:" in message or f"'{key}'" in message
+
+
+def _dry_run(job: Job, run: Run, options: Namespace) -> int:
+    from amslicer import report
+    from amslicer.pipeline import estimate
+
+    found = estimate(job, run, DRY_RUN_SAMPLES)
+    if options.json:
+        print(json.dumps(vars(found)))
+    else:
+        report.print_estimate(found)
+    return 0
+
+
+def verify_command(options: Namespace) -> int:
+    """amslicer verify OUT"""
+    if options.report:
+        raise UsageError("--report is not built yet in this version", hint="--json prints everything that was found")
+    from amslicer import report
+    from amslicer.verification import verify_stack
+
+    with report.progress_bar("verifying", "layers", quiet=options.quiet) as progress:
+        found = verify_stack(options.out, options.fields, jobs=options.jobs, progress=progress)
+    if options.json:
+        print(json.dumps(found.as_dict()))
+    elif not options.quiet:
+        report.print_report(found)
+    return 0 if found.ok else CheckFailed.exit_code
+
+
+def preview_command(options: Namespace) -> int:
+    """amslicer preview OUT"""
+    import io
+
+    if Path(options.out).is_file():
+        raise UsageError(
+            f"'{options.out}' is a file: previews of a part before slicing are not built yet in this version",
+            hint="slice it first (--layers A:B makes a few layers), then preview the stack",
+        )
+    from amslicer.pictures import contact_sheet, layer_picture
+    from amslicer.stack import open_stack
+    from amslicer.storage import write_atomically
+
+    stack = open_stack(options.out)
+    if options.layer is None:
+        picture = contact_sheet(stack)
+    else:
+        positions = {record.index: i for i, record in enumerate(stack.records)}
+        if options.layer not in positions:
+            raise UsageError(
+                f"the stack has no layer {options.layer}", hint=f"it has {min(positions)} to {max(positions)}"
+            )
+        picture = layer_picture(stack[positions[options.layer]], stack.colors, stack.grid.pitch_mm)
+    folder = Path(options.out).resolve()
+    ending = "" if options.layer is None else f"-layer{options.layer:05d}"
+    file = Path(options.output) if options.output else folder.with_name(f"{folder.name}-preview{ending}.png")
+    stream = io.BytesIO()
+    picture.save(stream, "PNG")
+    write_atomically(file, stream.getvalue())
+    print(file)
+    return 0
+
+
+def devices_command(options: Namespace) -> int:
+    """amslicer devices"""
+    from amslicer import report
+    from amslicer.device import INSTALL_HINT, list_devices
+
+    devices = list_devices(refresh=options.refresh)
+    if options.json:
+        print(json.dumps([{**vars(d), "works": d.works} for d in devices]))
+    elif not options.quiet:
+        report.print_devices(devices)
+    if not any(d.works for d in devices):
+        if options.quiet:
+            return DeviceError.exit_code
+        raise DeviceError("no OpenCL device works on this machine", hint=INSTALL_HINT)
+    return 0
+
+
+def printers_command(options: Namespace) -> int:
+    """amslicer printers"""
+    from amslicer import report
+    from amslicer.printers import printer_names, read_printer
+    from amslicer.specification import Printer
+
+    printers = [Printer.model_validate(read_printer(name, Path())) for name in printer_names()]
+    if options.json:
+        print(json.dumps([{"name": p.name, "pitch_mm": p.pitch_mm, "layer_mm": p.layer_height_mm} for p in printers]))
+    else:
+        report.print_printers(printers)
+    return 0
+
+
+def init_command(options: Namespace) -> int:
+    """amslicer init"""
+    from amslicer.starter import starter_file
+    from amslicer.storage import write_atomically
+
+    file = Path(options.file)
+    if file.exists():
+        raise UsageError(f"'{file}' exists already", hint="choose another name: amslicer init NAME.yaml")
+    write_atomically(file, starter_file(file.name).encode())
+    print(f"{file}: edit it, then `amslicer part.stl --fields {file} -o out`", file=sys.stderr)
+    return 0

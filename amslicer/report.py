@@ -1,0 +1,161 @@
+"""Tables, summaries and progress on the terminal. Progress goes to stderr, results to stdout."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from amslicer.device import DeviceInfo
+    from amslicer.pipeline import Estimate
+    from amslicer.specification import Printer
+    from amslicer.stack import Result
+    from amslicer.verification import Report
+
+LINE_SECONDS = 10.0  # between two lines of progress where there is no terminal
+WIDTH = 120  # columns of tables where there is no terminal
+
+
+@contextmanager
+def progress_bar(verb: str, unit: str, *, quiet: bool) -> Iterator[Callable[[int, int], None] | None]:
+    """A callback (done, total): a bar on a terminal, a line now and then otherwise."""
+    if quiet:
+        yield None
+    elif sys.stderr.isatty():
+        yield from _bar(verb, unit)
+    else:
+        yield _lines(verb, unit)
+
+
+def _bar(verb: str, unit: str) -> Iterator[Callable[[int, int], None]]:
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (TextColumn(verb), BarColumn(), MofNCompleteColumn(), TextColumn(unit), TimeRemainingColumn())
+    with Progress(*columns, console=_console(sys.stderr), transient=True) as bar:
+        task = bar.add_task(verb, total=None)
+        yield lambda done, total: bar.update(task, completed=done, total=total)
+
+
+def _lines(verb: str, unit: str) -> Callable[[int, int], None]:
+    started = last = time.monotonic()
+
+    def show(done: int, total: int) -> None:
+        nonlocal last
+        now = time.monotonic()
+        if done < total and now - last >= LINE_SECONDS:
+            last = now
+            left = (now - started) / done * (total - done)
+            print(f"{verb}: {done} of {total} {unit}, about {left:.0f} s left", file=sys.stderr, flush=True)
+
+    return show
+
+
+def print_notes(notes: Sequence[str]) -> None:
+    """What a person should know, one line each, on stderr."""
+    for note in notes:
+        print(f"note: {note}", file=sys.stderr)
+
+
+def print_result(result: Result) -> None:
+    """The summary of a slice."""
+    rows = [
+        (
+            m.name, f"{m.pixels:,}", f"{m.volume_mm3:,.2f}", "-" if m.grams is None else f"{m.grams:.3f}",
+            f"{100 * m.asked:.2f} %", f"{100 * m.ratio:.2f} %",
+        )
+        for m in result.materials
+    ]  # fmt: skip
+    _table(("material", "pixels", "mm³", "grams", "ratio asked", "ratio got"), rows)
+    speed = result.solid_pixels / 1e6 / result.seconds
+    part = "" if result.complete else " (a part of the stack)"
+    print(
+        f"{result.layers} layers{part}, {result.solid_pixels:,} solid pixels "
+        f"in {result.seconds:.1f} s ({speed:.1f} Mpx/s)"
+    )
+    print(f"stack: {result.out}")
+
+
+def result_dict(result: Result) -> dict[str, Any]:
+    """For --json."""
+    return {
+        "out": str(result.out),
+        "complete": result.complete,
+        "layers": result.layers,
+        "solid_pixels": result.solid_pixels,
+        "seconds": round(result.seconds, 3),
+        "materials": [vars(m) for m in result.materials],
+        "notes": list(result.notes),
+    }
+
+
+def print_estimate(found: Estimate) -> None:
+    """What --dry-run found."""
+    rows = [
+        ("bitmap", f"{found.width_px} × {found.height_px} px"),
+        ("layers", f"{found.layers}"),
+        ("files", f"{found.files} (about {found.bytes / 1e6:,.1f} MB)"),
+        ("time", f"about {found.seconds:.0f} s on {found.device}"),
+    ]
+    for name, value in rows:
+        print(f"{name:8} {value}")
+    print("nothing was written (--dry-run)")
+
+
+def print_report(found: Report) -> None:
+    """What `verify` found."""
+    for check in found.checks:
+        print(f"{'ok    ' if check.ok else 'FAILED'} {check.name}")
+        for problem in check.problems:
+            print(f"         {problem}")
+    rows = [
+        (
+            m.name, f"{m.pixels:,}", f"{100 * m.expected:.3f} %", f"{100 * m.ratio:.3f} %",
+            f"{100 * m.error:+.3f} %", f"± {100 * m.tolerance:.3f} %", "ok" if m.ok else "FAILED",
+        )
+        for m in found.materials.values()
+    ]  # fmt: skip
+    _table(("material", "pixels", "ratio asked", "ratio got", "error", "allowed", ""), rows)
+    verdict = "as it was asked for" if found.ok else "NOT as it was asked for"
+    print(f"{found.out}: {found.layers} layers, {verdict}")
+
+
+def print_devices(devices: Sequence[DeviceInfo]) -> None:
+    """The OpenCL devices and their verdicts."""
+    for d in devices:
+        verdict = "works" if d.works else f"does not work: {d.verdict}"
+        print(f"{d.label}\n    {d.type}, {d.compute_units} compute units: {verdict}")
+
+
+def print_printers(printers: Sequence[Printer]) -> None:
+    """The printer profiles."""
+    rows = [
+        (
+            p.name or "", f"{1000 * p.pitch_mm[0]:.2f} × {1000 * p.pitch_mm[1]:.2f} µm",
+            f"{1000 * p.layer_height_mm:g} µm", p.description or "",
+        )
+        for p in printers
+    ]  # fmt: skip
+    _table(("printer", "pixel", "layer", ""), rows, left=(0, 3))
+
+
+def _table(head: Sequence[str], rows: Sequence[Sequence[str]], left: Sequence[int] = (0,)) -> None:
+    from rich import box
+    from rich.table import Table
+
+    table = Table(box=box.SIMPLE_HEAD)
+    for i, name in enumerate(head):
+        table.add_column(name, justify="left" if i in left else "right", no_wrap=True)
+    for row in rows:
+        table.add_row(*row)
+    _console(sys.stdout).print(table)
+
+
+def _console(stream: Any) -> Console:
+    from rich.console import Console
+
+    return Console(file=stream, width=None if stream.isatty() else WIDTH, highlight=False)

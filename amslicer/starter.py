@@ -1,0 +1,52 @@
+"""The starter job file that `amslicer init` writes: every key, its default, and what it means."""
+
+from __future__ import annotations
+
+from amslicer.fields import SOURCES
+from amslicer.printers import printer_names
+
+STARTER = """\
+# A job for amslicer: `amslicer part.stl --fields {name} -o out`
+# Lengths are mm and angles degrees. What is commented out shows the default.
+
+printer: generic-600dpi            # {printers}
+                                   # or a .yaml file, or inline: {{dpi: [600, 300], layer_mm: 0.027}},
+                                   # {{pitch_um: [42.3, 84.7], layer_um: 27, margin_px: 0}}
+# part:
+#   units: mm                      # mm, cm, m or inch; a 3MF file says its own
+#   scale: 1
+#   rotate: [0, 0, 0]              # about the file's x, then y, then z axis
+#   on_bed: true                   # lowest point to z = 0
+
+materials:                         # two; the first is what fields.ratio counts
+  - {{name: rigid,    color: "#2b6cb0", density_g_cm3: 1.18}}
+  - {{name: flexible, color: "#f6ad55", density_g_cm3: 1.12}}
+
+pattern:
+  # noise: phasor
+  dimensions: 3                    # 3: solid laminate; 2: the same pattern in every layer
+  period: 1.0                      # mm from one sheet of a material to the next
+  bandwidth: 0.5                   # smaller: straighter, more regular sheets; larger: quicker to turn
+  # impulses: 4                    # kernels per bandwidth^dimensions
+  # profile: pwm
+  # evaluate: lattice              # or exact; this version evaluates both exactly
+  seed: 1                          # another seed, another laminate of the same kind
+
+fields:
+  # A field is a number, or one of ({sources}):
+  #   {{gradient: {{axis: x, from: 0.1, to: 0.9}}}}      linear over the part's bounding box,
+  #                                                    or between start: and end: in mm
+  #   {{image: paint/ratio.png, range: [0, 1]}}         8 or 16-bit grey, black = range[0], stretched over the
+  #                                                    part seen from above, or over box: [x0, y0, x1, y1]
+  ratio: {{gradient: {{axis: x, from: 0.2, to: 0.8}}}} # share of the first material, 0 to 1
+  orientation: 30                  # the sheets' normal, from +x towards +y; or in 3D
+                                   # {{azimuth: FIELD, elevation: FIELD}}
+  # isotropy: 0
+
+# output: {{format: png, compression: fast}}          # compression: fast or small
+"""
+
+
+def starter_file(name: str) -> str:
+    """The text of a commented job file, to be written under this name."""
+    return STARTER.format(name=name, printers=", ".join(printer_names()), sources=", ".join(SOURCES))

@@ -1,0 +1,186 @@
+"""Measures laminates: direction, period, spectrum, singularities. Knows nothing of the package that made them.
+
+Arrays are bitmaps, (H, W) with row 0 at the largest y, or blocks of them, (L, H, W) with layer 0 lowest. A
+`pitch_mm` is (x, y) or (x, y, z), so pixels need not be square. Angles are degrees from +x towards +y; directions are
+lines, 0° = 180°. A laminate's field is anything that oscillates along its normal: labels made ±1 by `signed`, or
+the sine of the phase.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+Floats = NDArray[np.float64]
+Pitch = tuple[float, float]
+Pitch3 = tuple[float, float, float]
+
+SMOOTHING = 0.1  # periods: of the derivative, wide enough to see across a pixel's staircase
+WINDOW = 1.5  # periods: the structure tensor's Gaussian window
+BAND = (0.6, 1.4)  # carriers: where the period's power is looked for
+
+
+def signed(labels: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """+1 in the first material, -1 in the others, 0 where nothing is."""
+    return np.where(labels == 1, 1, np.where(labels == 0, 0, -1)).astype(np.float32)
+
+
+def phase_sine(g: NDArray[np.complex64]) -> Floats:
+    return np.sin(np.angle(g))
+
+
+def inner(shape: tuple[int, int], pitch_mm: Pitch, border_mm: float) -> tuple[slice, slice]:
+    """The window that leaves out a border on each side."""
+    rows, columns = int(np.ceil(border_mm / pitch_mm[1])), int(np.ceil(border_mm / pitch_mm[0]))
+    return slice(rows, shape[0] - rows), slice(columns, shape[1] - columns)
+
+
+# --- direction ---------------------------------------------------------------------------------------------
+
+
+def gradient(field: Floats, pitch_mm: Pitch, smooth_mm: float) -> tuple[Floats, Floats]:
+    """Derivatives per mm along x and y (up)."""
+    sigma = smooth_mm / pitch_mm[1], smooth_mm / pitch_mm[0]
+    along_x = ndimage.gaussian_filter(field, sigma, order=(0, 1), mode="nearest") / pitch_mm[0]
+    along_y = -ndimage.gaussian_filter(field, sigma, order=(1, 0), mode="nearest") / pitch_mm[1]
+    return along_x, along_y
+
+
+def line_direction(xx: Floats, xy: Floats, yy: Floats) -> Floats:
+    """Degrees of the strongest direction of 2 x 2 tensors."""
+    return np.rad2deg(0.5 * np.arctan2(2 * xy, xx - yy)) % 180
+
+
+def directions(field: NDArray[np.floating], pitch_mm: Pitch, period_mm: float) -> Floats:
+    """The local normal at each pixel, degrees: structure tensor with a Gaussian window of 1.5 periods."""
+    gx, gy = gradient(np.asarray(field, np.float64), pitch_mm, SMOOTHING * period_mm)
+    sigma = WINDOW * period_mm / pitch_mm[1], WINDOW * period_mm / pitch_mm[0]
+    tensor = (ndimage.gaussian_filter(p, sigma, mode="nearest", truncate=3) for p in (gx * gx, gx * gy, gy * gy))
+    return line_direction(*tensor)
+
+
+def mean_direction(field: NDArray[np.floating], pitch_mm: Pitch, period_mm: float) -> float:
+    """The one normal of a whole bitmap, its outermost period left out, degrees."""
+    gx, gy = gradient(np.asarray(field, np.float64), pitch_mm, SMOOTHING * period_mm)
+    part = inner(gx.shape, pitch_mm, period_mm)
+    gx, gy = gx[part], gy[part]
+    return float(line_direction((gx * gx).mean(), (gx * gy).mean(), (gy * gy).mean()))
+
+
+def line_error(a_deg: Floats | float, b_deg: Floats | float) -> Floats:
+    """Angle between lines, 0 to 90 degrees."""
+    return np.abs((np.asarray(a_deg) - np.asarray(b_deg) + 90) % 180 - 90)
+
+
+def normal(azimuth_deg: Floats | float, elevation_deg: Floats | float) -> Floats:
+    """(..., 3) unit vectors."""
+    a, e = np.broadcast_arrays(np.deg2rad(azimuth_deg), np.deg2rad(elevation_deg))
+    return np.stack([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)], axis=-1)
+
+
+def normal_error(a: Floats, b: Floats) -> Floats:
+    """Angle between lines in space, degrees, of (..., 3) unit vectors."""
+    return np.rad2deg(np.arccos(np.clip(np.abs(np.sum(a * b, axis=-1)), 0, 1)))
+
+
+def line_mean(normals: Floats, weights: Floats) -> Floats:
+    """The mean line of (N, 3) unit vectors."""
+    return np.linalg.eigh(np.einsum("n,ni,nj->ij", weights, normals, normals))[1][:, -1]
+
+
+def gradient_3d(field: NDArray[np.floating], pitch_mm: Pitch3, smooth_mm: float) -> Floats:
+    """(3, L, H, W) derivatives per mm along x, y (up) and z (up)."""
+    block = np.asarray(field, np.float32)
+    sigma = tuple(smooth_mm / p for p in pitch_mm[::-1])
+    out = []
+    for axis, sign in ((2, 1), (1, -1), (0, 1)):
+        order = tuple(int(a == axis) for a in range(3))
+        derivative = ndimage.gaussian_filter(block, sigma, order=order, mode="nearest", truncate=3)
+        out.append(derivative * (sign / pitch_mm[2 - axis]))
+    return np.stack(out)
+
+
+def normal_of_block(
+    field: NDArray[np.floating], weights: NDArray[np.floating], pitch_mm: Pitch3, period_mm: float
+) -> Floats:
+    """The normal of a block: the strongest direction of its weighted 3-D structure tensor."""
+    g = gradient_3d(field, pitch_mm, SMOOTHING * period_mm)
+    return np.linalg.eigh(np.einsum("lhw,ilhw,jlhw->ij", weights, g, g, optimize=True))[1][:, -1]
+
+
+def normal_from_cuts(field: NDArray[np.floating], pitch_mm: Pitch3, period_mm: float) -> Floats:
+    """The normal of a block from three plane pictures alone: its middle xy, xz and yz cuts.
+
+    Each cut gives a 2 x 2 tensor of its plane, the border of one period left out; two cuts share each diagonal entry.
+    """
+    middle = [n // 2 for n in field.shape]
+    # (cut with row 0 at the top, axis across, axis up)
+    cuts = (
+        (field[middle[0]], 0, 1),
+        (field[::-1, middle[1], :], 0, 2),
+        (field[::-1, ::-1, middle[2]], 1, 2),
+    )
+    tensor = np.zeros((3, 3))
+    for cut, across, up in cuts:
+        pitch = pitch_mm[across], pitch_mm[up]
+        g = gradient(np.asarray(cut, np.float64), pitch, SMOOTHING * period_mm)
+        part = inner(cut.shape, pitch, period_mm)
+        for i, a in enumerate((across, up)):
+            for j, b in enumerate((across, up)):
+                tensor[a, b] += (g[i][part] * g[j][part]).mean() * (0.5 if a == b else 1.0)
+    return np.linalg.eigh(tensor)[1][:, -1]
+
+
+# --- spectrum ----------------------------------------------------------------------------------------------
+
+
+def power(field: NDArray[np.floating], pitch_mm: Pitch) -> tuple[Floats, Floats]:
+    """Power spectrum under a Hann window, the mean removed, and its frequencies |f| per mm."""
+    rows, columns = field.shape
+    window = np.hanning(rows)[:, None] * np.hanning(columns)[None, :]
+    values = np.asarray(field, np.float64)
+    values = values - (values * window).sum() / window.sum()
+    fy, fx = np.fft.fftfreq(rows, pitch_mm[1]), np.fft.rfftfreq(columns, pitch_mm[0])
+    spectrum = np.abs(np.fft.rfft2(values * window)) ** 2
+    mirrored = slice(1, (columns + 1) // 2)  # columns whose mirror image rfft2 leaves out
+    spectrum[:, mirrored] *= 2
+    return spectrum, np.hypot(fy[:, None], fx[None, :])
+
+
+def measured_period(field: NDArray[np.floating], pitch_mm: Pitch, period_mm: float) -> float:
+    """1 / centroid of the power within 0.6 to 1.4 carriers of an expected period, mm."""
+    spectrum, frequency = power(field, pitch_mm)
+    band = (frequency > BAND[0] / period_mm) & (frequency < BAND[1] / period_mm)
+    return float(spectrum[band].sum() / (spectrum[band] * frequency[band]).sum())
+
+
+def low_variance_share(field: NDArray[np.floating], pitch_mm: Pitch, period_mm: float) -> float:
+    """Spectrum of variance: share of the energy of field² (mean removed) below half the carrier."""
+    spectrum, frequency = power(np.asarray(field, np.float64) ** 2, pitch_mm)
+    return float(spectrum[frequency < 0.5 / period_mm].sum() / spectrum.sum())
+
+
+# --- the complex field -------------------------------------------------------------------------------------
+
+
+def contrast(g: NDArray[np.complex64]) -> float:
+    """σ(|G|) / mean(|G|): 0 for a grating, √(4/π - 1) = 0.523 for a complex Gaussian field."""
+    intensity = np.abs(g)
+    return float(intensity.std() / intensity.mean())
+
+
+def singularities(g: NDArray[np.complex64]) -> int:
+    """Number of pixel squares around which arg G turns by ±2π."""
+    phase = np.angle(g).astype(np.float64)
+
+    def step(a: Floats, b: Floats) -> Floats:
+        return (b - a + np.pi) % (2 * np.pi) - np.pi
+
+    turn = (
+        step(phase[:-1, :-1], phase[:-1, 1:])
+        + step(phase[:-1, 1:], phase[1:, 1:])
+        + step(phase[1:, 1:], phase[1:, :-1])
+        + step(phase[1:, :-1], phase[:-1, :-1])
+    )
+    return int(np.count_nonzero(np.abs(turn) > np.pi))
