@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from amslicer.tiles import TILE, TILE_LAYERS, TileLists, reach, tile_lists
+from amslicer.tiles import TileLists, Tiling, reach, tile_lists
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -23,9 +23,10 @@ BLOCK = 32
 AXIS = np.dtype([("offset", np.float32), ("wave", np.float32), ("tile", np.int32)])
 
 
-def work_shape(device: Device) -> dict[str, int]:
-    """The macros of cl/tile.h for a device, but for SLOTS."""
-    return {"TILE": TILE, "ROWS": ROWS, "BLOCK": BLOCK, "VECTOR": 16 if device.vector_width >= 16 else 8}
+def work_shape(device: Device, tiling: Tiling, slots: int = 1) -> dict[str, int]:
+    """The macros of cl/tile.h."""
+    vector = min(16 if device.vector_width >= 16 else 8, tiling.pixels)
+    return {"TILE": tiling.pixels, "ROWS": ROWS, "BLOCK": BLOCK, "VECTOR": vector, "SLOTS": slots}
 
 
 class Evaluator:
@@ -36,19 +37,21 @@ class Evaluator:
         kernels: all kernels that reach the slab.
         tiles: (T, 2) tiles to evaluate.
         tile_normals: (T, 3) their reference normals.
-        grid: pixels and layers.
+        grid, tiling: pixels and layers, and the tiles that they make.
         planar: 2D: the kernels do not know z.
     """
 
     def __init__(
         self, device: Device, kernels: Kernels, tiles: NDArray[np.int32], tile_normals: Floats,
-        grid: Grid, *, planar: bool,
+        grid: Grid, tiling: Tiling, *, planar: bool,
     ) -> None:  # fmt: skip
         self.device = device
         self.kernels = kernels
         self.planar = planar
         self.grid = grid
-        self._reach = reach(kernels, 0, grid.pitch_mm[0]), reach(kernels, 1, grid.pitch_mm[1])
+        self.tiling = tiling
+        sides = [tiling.pixels * pitch for pitch in grid.pitch_mm]
+        self._reach = reach(kernels, 0, sides[0]), reach(kernels, 1, sides[1])
         self.lists: TileLists = tile_lists(kernels, *self._reach, tiles, tile_normals)
         shape = np.stack([kernels.decay, kernels.radius_mm], axis=-1).astype(np.float32)
         self._shape = device.buffer(shape)
@@ -59,12 +62,12 @@ class Evaluator:
     @property
     def floats_per_layer(self) -> int:
         """Size of G of one layer: real and imaginary part of every pixel of every tile."""
-        return len(self.lists.tiles) * TILE * TILE * 2
+        return len(self.lists.tiles) * self.tiling.pixels**2 * 2
 
     def field(self, out: Any, first: int, count: int) -> None:
         """Enqueues G of the layers first … first + count - 1 into `out`.
 
-        Layout: float32 [layers][tiles][TILE rows][real, imaginary][TILE columns].
+        Layout: float32 [layers][tiles][rows of a tile][real, imaginary][columns of a tile].
         """
         if len(self.lists.tiles) == 0:
             return
@@ -79,17 +82,15 @@ class Evaluator:
         """The same G, each kernel's exponential, sine and cosine computed at each pixel."""
         if len(self.lists.tiles) == 0:
             return
+        tile = self.tiling.pixels
         self.device.kernel("per_pixel", self._constants())(
-            self.device.queue, (TILE, TILE * len(self.lists.tiles), count), (TILE, 1, 1), out, *self._lists,
+            self.device.queue, (tile, tile * len(self.lists.tiles), count), (tile, 1, 1), out, *self._lists,
             self._shape, *self._axes, self._along_z(first, count), np.uint32(len(self.kernels)),
             np.float32(self.grid.pitch_mm[0]), np.float32(self.grid.pitch_mm[1]),
         )  # fmt: skip
 
     def _constants(self) -> dict[str, int]:
-        return {
-            **work_shape(self.device),
-            "SLOTS": max(self._reach[0].slots, self._reach[1].slots),
-        }  # fmt: skip
+        return work_shape(self.device, self.tiling, max(self._reach[0].slots, self._reach[1].slots))
 
     def _axis(self, axis: int) -> NDArray[Any]:
         out = np.empty(len(self.kernels), AXIS)
@@ -102,7 +103,7 @@ class Evaluator:
         """Enqueues the 1-D factors of all kernels along x (0) or y (1)."""
         constants = self._constants()
         slots, count = constants["SLOTS"], len(self.kernels)
-        table = self.device.empty(count * slots * 2 * TILE * 4)
+        table = self.device.empty(count * slots * 2 * self.tiling.pixels * 4)
         if count:
             kernel = self.device.kernel("tables", constants)
             pitch = np.float32(self.grid.pitch_mm[axis])
@@ -112,7 +113,7 @@ class Evaluator:
     def _along_z(self, first: int, count: int) -> Any:
         """Enqueues the factors along z of some layers, the random phase included: complex64 [layers][kernels]."""
         # Heights count from the block of layers, not from the first layer asked for: float32 must round the same.
-        kernels, in_block = self.kernels, first % TILE_LAYERS
+        kernels, in_block = self.kernels, first % self.tiling.layers
         columns = (
             self.grid.z_mm(first - in_block) - kernels.centre_mm[:, 2],
             kernels.wave[:, 2],

@@ -242,22 +242,22 @@ def _refuse_unbuilt(spec: JobFile, name: str) -> None:
             f"built: {', '.join(PROFILES)}",
         ),
         (pattern.alignment != 0, f"pattern.alignment: {pattern.alignment}", "leave it at 0"),
-        (not isinstance(pattern.period, float), "pattern.period as a painted field", "give a number of mm"),
-        (fields.isotropy != 0, "fields.isotropy other than 0", "leave it out"),
-        (len(spec.materials) > 2, f"{len(spec.materials)} materials", "give two"),
+        (not isinstance(pattern.period, float), "pattern.period: a painted field", "give a number of mm"),
+        (fields.isotropy != 0, "fields.isotropy: other than 0", "leave it out"),
+        (len(spec.materials) > 2, f"materials: {len(spec.materials)} of them", "give two"),
     )
     for refused, what, hint in refusals:
         if refused:
             raise JobError(f"{name}: {what} is not built yet in this version", hint=hint)
     if isinstance(pattern.period, float) and pattern.period <= 0:
-        raise JobError(f"{name}: pattern.period must be greater than 0 mm, but it is {pattern.period}")
+        raise JobError(f"{name}: pattern.period: must be greater than 0 mm, but it is {pattern.period}")
     if isinstance(fields.orientation, AzimuthElevation) and pattern.dimensions == 2:
         raise JobError(
-            f"{name}: fields.orientation has an elevation, but pattern.dimensions is 2: the same in every layer",
+            f"{name}: fields.orientation: has an elevation, but pattern.dimensions is 2: the same in every layer",
             hint="set pattern.dimensions to 3, or give orientation as one angle",
         )
     if isinstance(fields.ratio, float) and not 0 <= fields.ratio <= 1:
-        raise JobError(f"{name}: fields.ratio must be between 0 and 1, but it is {fields.ratio}")
+        raise JobError(f"{name}: fields.ratio: must be between 0 and 1, but it is {fields.ratio}")
 
 
 def _find_sources(node: Any) -> Iterator[Source]:

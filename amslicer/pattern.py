@@ -15,7 +15,7 @@ from amslicer.noise import NOISES
 from amslicer.noise.kernels import Kernels, join_kernels
 from amslicer.profile import PROFILES
 from amslicer.specification import AzimuthElevation
-from amslicer.tiles import TILE, TILE_LAYERS, active_tiles, all_tiles, padded_tiles
+from amslicer.tiles import Tiling, active_tiles, all_tiles, tiles_over
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -131,14 +131,15 @@ class PlanarField:
 class Pattern:
     """Labels of the solid pixels of a part, layer by layer, on an open device."""
 
-    def __init__(self, job: Job, painted: Painted, grid: Grid, device: Device) -> None:
+    def __init__(self, job: Job, painted: Painted, grid: Grid, tiling: Tiling, device: Device) -> None:
         self.painted = painted
         self.grid = grid
+        self.tiling = tiling
         self.device = device
         self.noise = make_noise(job)
         self.planar = job.spec.pattern.dimensions == 2
         self._thresholds_of = PROFILES[job.spec.pattern.profile]
-        self._padded = tuple(TILE * count for count in padded_tiles(grid))
+        self._padded = tuple(tiling.pixels * count for count in tiles_over(grid, tiling.pixels))
         self._planar_field: PlanarField | None = None
         self._thresholds: Any = None
         self._ratio: NDArray[np.float32] | None = None
@@ -152,11 +153,11 @@ class Pattern:
             (layers, rows, columns) uint8, row 0 = lowest y.
 
         Args:
-            runs: the solid pixels; the layers lie in one block of TILE_LAYERS.
+            runs: the solid pixels; the layers lie in one layer of tiles.
         """
         rows, columns = self._padded
         labels = np.zeros((runs.layers, rows, columns), np.uint8)
-        tiles = active_tiles(runs)
+        tiles = active_tiles(runs, self.tiling.pixels)
         if len(tiles):
             self._label_tiles(labels, runs, tiles, first)
         return labels[:, : self.grid.rows, : self.grid.columns]
@@ -190,17 +191,17 @@ class Pattern:
 
     def field(self, layer: int, *, per_pixel: bool = False) -> NDArray[np.complex64]:
         """G at every pixel of a layer, margin included: (height, width) complex64, row 0 = lowest y."""
-        grid, margin = self.grid, self.grid.margin_px
-        before = -(-margin // TILE)
-        end = (-(-(grid.columns + margin) // TILE), -(-(grid.rows + margin) // TILE))
+        grid, margin, tile = self.grid, self.grid.margin_px, self.tiling.pixels
+        before = -(-margin // tile)
+        end = (-(-(grid.columns + margin) // tile), -(-(grid.rows + margin) // tile))
         evaluator = self._evaluator(layer, 1, all_tiles((-before, -before), end))
-        parts = np.empty((end[1] + before, end[0] + before, TILE, 2, TILE), np.float32)
+        parts = np.empty((end[1] + before, end[0] + before, tile, 2, tile), np.float32)
         buffer = self.device.empty(parts.nbytes)
         enqueue = evaluator.field_per_pixel if per_pixel else evaluator.field
         enqueue(buffer, layer, 1)
         self.device.read(buffer, parts)
-        re, im = (parts[:, :, :, i].transpose(0, 2, 1, 3).reshape(parts.shape[0] * TILE, -1) for i in (0, 1))
-        corner = before * TILE - margin
+        re, im = (parts[:, :, :, i].transpose(0, 2, 1, 3).reshape(parts.shape[0] * tile, -1) for i in (0, 1))
+        corner = before * tile - margin
         window = slice(corner, corner + grid.height_px), slice(corner, corner + grid.width_px)
         return (re + 1j * im)[window].astype(np.complex64)
 
@@ -216,15 +217,15 @@ class Pattern:
         if self.painted.ratio_depends_on_z:
             at_once = 1
         buffer = planar.buffer if planar else None
-        plane = labels[0].nbytes
+        plane, tile = labels[0].nbytes, self.tiling.pixels
         lists = self.device.buffer(tiles), self.device.buffer(slots)
         for start in range(0, runs.layers, at_once):
             count = min(at_once, runs.layers - start)
             if evaluator is not None:
                 buffer = buffer or self.device.empty(min(at_once, runs.layers) * 4 * evaluator.floats_per_layer)
                 evaluator.field(buffer, first + start, count)
-            self.device.kernel("profile", {**work_shape(self.device), "SLOTS": 1})(
-                self.device.queue, (TILE, len(tiles), count), (TILE, 1, 1),
+            self.device.kernel("profile", work_shape(self.device, self.tiling))(
+                self.device.queue, (tile, len(tiles), count), (tile, 1, 1),
                 out.get_sub_region(start * plane, count * plane), buffer,
                 solid.get_sub_region(start * plane, count * plane), self._threshold_buffer(first + start),
                 *lists, np.uint32(1), np.array(self._padded[::-1], np.uint32), np.uint32(field_tiles),
@@ -248,7 +249,7 @@ class Pattern:
     def _planar_g(self) -> PlanarField:
         """G of a 2D pattern, evaluated once."""
         if self._planar_field is None:
-            rows, columns = padded_tiles(self.grid)
+            rows, columns = tiles_over(self.grid, self.tiling.pixels)
             evaluator = self._evaluator(0, 1, all_tiles((0, 0), (columns, rows)))
             buffer = self.device.empty(4 * evaluator.floats_per_layer)
             evaluator.field(buffer, 0, 1)
@@ -257,14 +258,14 @@ class Pattern:
         return self._planar_field
 
     def _evaluator(self, first: int, count: int, tiles: NDArray[np.int32]) -> Evaluator:
-        """An evaluator for some layers (of one block of TILE_LAYERS) and tiles."""
-        grid, side = self.grid, TILE * np.array(self.grid.pitch_mm)
+        """An evaluator for some layers (of one layer of tiles) and tiles."""
+        grid, side = self.grid, self.tiling.pixels * np.array(self.grid.pitch_mm)
         low, high = tiles.min(axis=0) * side, (tiles.max(axis=0) + 1) * side
         kernels = self._kernels(low, high, grid.z_mm(first), grid.z_mm(first + count - 1))
-        block_middle = (first // TILE_LAYERS + 0.5) * TILE_LAYERS * grid.layer_mm
+        block_middle = self.tiling.block_middle_mm(first, grid.layer_mm)
         centres = np.column_stack([(tiles + 0.5) * side, np.full(len(tiles), block_middle)])
         normals = self.painted.normals(centres)
-        return Evaluator(self.device, kernels, tiles, normals, grid, planar=self.planar)
+        return Evaluator(self.device, kernels, tiles, normals, grid, self.tiling, planar=self.planar)
 
     def _kernels(self, low_mm: Floats, high_mm: Floats, low_z_mm: float, high_z_mm: float) -> Kernels:
         """All kernels that reach a rectangle between two heights, in the order of their cells."""

@@ -20,7 +20,7 @@ from amslicer.mask import Slicer, join_runs, make_slicer
 from amslicer.mesh import Mesh, read_mesh
 from amslicer.pattern import Painted, Pattern, open_fields
 from amslicer.placement import Placement, place
-from amslicer.tiles import TILE_LAYERS
+from amslicer.tiles import Tiling, choose_tiling
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -34,6 +34,8 @@ BATCH_PIXELS = 1 << 26
 # One layer's G, thresholds and masks take about 20 bytes per pixel; beyond this no machine holds them.
 MAX_LAYER_PIXELS = 200_000_000
 MAX_LAYERS = 1_000_000
+NOTED_MM = 5e-4  # moves that would be shown as 0.000 mm are float noise
+MIN_PERIOD_PX = 3  # below, pixels do not show where one sheet ends
 
 
 @dataclass(frozen=True)
@@ -64,16 +66,27 @@ class Prepared:
     mesh: Mesh
     placement: Placement
     grid: Grid
+    tiling: Tiling
     slicer: Slicer
     painted: Painted
+
+    def pattern(self, device: Device) -> Pattern:
+        """The laminate, to be evaluated on a device."""
+        return Pattern(self.job, self.painted, self.grid, self.tiling, device)
 
     def notes(self) -> list[str]:
         """What a person should know about the part, in sentences."""
         notes = list(self.mesh.notes)
-        if self.placement.lifted_mm < 0:
-            notes.append(f"the part was {-self.placement.lifted_mm:.3f} mm above the bed: moved down to z = 0")
-        elif self.placement.lifted_mm > 0:
-            notes.append(f"the part was {self.placement.lifted_mm:.3f} mm below the bed: moved up to z = 0")
+        lifted = self.placement.lifted_mm
+        if abs(lifted) >= NOTED_MM:
+            was, moved = ("above", "down") if lifted < 0 else ("below", "up")
+            notes.append(f"the part was {abs(lifted):.3f} mm {was} the bed: moved {moved} to z = 0")
+        period, pitch = self.job.spec.pattern.period, max(self.grid.pitch_mm)
+        if isinstance(period, float) and period < MIN_PERIOD_PX * pitch:
+            notes.append(
+                f"the period of {period:g} mm is {period / pitch:.1f} pixels of {1000 * pitch:.0f} µm: "
+                f"sheets are lost below {MIN_PERIOD_PX} pixels"
+            )
         return notes
 
 
@@ -91,7 +104,10 @@ def prepare(job: Job) -> Prepared:
     grid = cover(placement.size_mm.tolist(), printer.pitch_mm, printer.layer_height_mm, printer.margin_px)
     _refuse_absurd(job, grid, placement)
     painted = open_fields(job, placement, mesh.size_mm)
-    return Prepared(job, mesh, placement, grid, make_slicer(vertices, mesh.triangles, grid), painted)
+    period = spec.pattern.period
+    assert isinstance(period, float)
+    tiling = choose_tiling(grid, period)
+    return Prepared(job, mesh, placement, grid, tiling, make_slicer(vertices, mesh.triangles, grid), painted)
 
 
 def _refuse_absurd(job: Job, grid: Grid, placement: Placement) -> None:
@@ -137,7 +153,7 @@ def layers(job: Job, run: Run | None = None) -> Iterator[Layer]:
     run = run or Run()
     prepared = prepare(job)
     with Device(run.device, run.jobs) as device, host_threads(run) as pool:
-        pattern = Pattern(job, prepared.painted, prepared.grid, device)
+        pattern = prepared.pattern(device)
         for batch in make_layers(prepared, pattern, pool, layer_range(run, prepared.grid.layers), run.threads):
             yield from (made.layer for made in batch)
 
@@ -157,7 +173,7 @@ def field_of_layer(job: Job, index: int, run: Run | None = None) -> NDArray[np.c
     if not -count <= index < count:
         raise UsageError(f"there is no layer {index}; the part has {count} layers")
     with Device(run.device, run.jobs) as device:
-        return Pattern(job, prepared.painted, prepared.grid, device).field(index % count)[::-1]
+        return prepared.pattern(device).field(index % count)[::-1]
 
 
 @dataclass(frozen=True)
@@ -178,7 +194,7 @@ def make_layers(
 ) -> Iterator[list[Made]]:
     """Batches of layers: masks in the pool's threads, then labels on the device."""
     grid = prepared.grid
-    for first, end in batches(chosen, grid):
+    for first, end in batches(chosen, grid, prepared.tiling):
         pieces = np.array_split(np.arange(first, end), min(threads, end - first))
         parts = pool.map(lambda piece: prepared.slicer.runs(int(piece[0]), int(piece[-1]) + 1), pieces)
         runs = join_runs(list(parts))
@@ -187,12 +203,12 @@ def make_layers(
         yield [Made(_layer(prepared, first + i, layer), asked[i]) for i, layer in enumerate(labels)]
 
 
-def batches(chosen: range, grid: Grid) -> Iterator[tuple[int, int]]:
-    """Half-open runs of layers, none across a border of TILE_LAYERS, each within the memory bound."""
-    at_once = max(1, min(TILE_LAYERS, BATCH_PIXELS // (grid.columns * grid.rows)))
+def batches(chosen: range, grid: Grid, tiling: Tiling) -> Iterator[tuple[int, int]]:
+    """Half-open runs of layers, none across a border of tiles, each within the memory bound."""
+    at_once = max(1, min(tiling.layers, BATCH_PIXELS // (grid.columns * grid.rows)))
     first = chosen.start
     while first < chosen.stop:
-        border = (first // TILE_LAYERS + 1) * TILE_LAYERS
+        border = (first // tiling.layers + 1) * tiling.layers
         end = min(chosen.stop, border, first + at_once)
         yield first, end
         first = end
@@ -248,12 +264,12 @@ def estimate(job: Job, run: Run, samples: int) -> Estimate:
     chosen = layer_range(run, grid.layers)
     size, seconds, made = 0, 0.0, 0
     with Device(run.device, run.jobs) as device, host_threads(run) as pool:
-        pattern = Pattern(job, prepared.painted, grid, device)
+        pattern = prepared.pattern(device)
         # A short run of layers at each place, since neighbours share most of their work; the first only warms up.
         places = [chosen[len(chosen) * (2 * i + 1) // (2 * samples)] for i in range(min(samples, len(chosen)))]
         for number, place in enumerate([places[0], *places]):
             started = time.monotonic()
-            some = range(place, min(place + TILE_LAYERS // 2, chosen.stop))
+            some = range(place, min(place + prepared.tiling.layers, chosen.stop))
             for batch in make_layers(prepared, pattern, pool, some, run.threads):
                 files = pool.map(lambda m: WRITERS[output.format](m.layer, grid.pitch_mm, output.compression), batch)
                 if number:

@@ -177,7 +177,7 @@ def symmetric_labels(g: NDArray[Any], cumulative: ArrayLike) -> NDArray[np.uint8
     share = np.where(g == 0, 1.0, np.abs(np.arctan2(g.imag, g.real)) / np.pi)
     c = np.asarray(cumulative, np.float64)
     beyond = ((share >= c) | (c <= 0)) & (c < 1)
-    return (1 + np.count_nonzero(beyond, axis=0)).astype(np.uint8)
+    return np.asarray(1 + np.count_nonzero(beyond, axis=0), np.uint8)
 
 
 def tables(
@@ -226,8 +226,9 @@ def fill(starts: NDArray[Any], runs: NDArray[Any], columns: int) -> NDArray[np.u
     Returns:
         (rows, columns) uint8.
     """
-    row = np.repeat(np.arange(len(starts) - 1), np.diff(starts.astype(np.int64)))
-    change = np.zeros((len(starts) - 1, columns + 1), np.int64)
+    count = starts[1:].astype(np.int64) - starts[:-1]
+    row = np.repeat(np.arange(len(count)), count)
+    change = np.zeros((len(count), columns + 1), np.int64)
     np.add.at(change, (row, runs[:, 0]), 1)
     np.add.at(change, (row, runs[:, 1]), -1)
     return (np.cumsum(change, axis=1)[:, :-1] > 0).astype(np.uint8)

@@ -103,7 +103,6 @@ def slice_job(
     """
     from amslicer import __version__
     from amslicer.device import Device
-    from amslicer.pattern import Pattern
     from amslicer.pipeline import Run, host_threads, layer_range, make_layers, prepare
 
     started = time.monotonic()
@@ -113,7 +112,7 @@ def slice_job(
     prepared = prepare(job)
     chosen = layer_range(run, prepared.grid.layers)
     with Device(run.device, run.jobs) as device, host_threads(run) as pool:
-        pattern = Pattern(job, prepared.painted, prepared.grid, device)
+        pattern = prepared.pattern(device)
         open_folder(out, job, overwrite=overwrite)
         records: list[LayerRecord] = []
         asked = 0.0

@@ -1,6 +1,6 @@
 """Tiles of pixels, and which kernels reach each: the work layout of the evaluation.
 
-Tiles are TILE × TILE pixels and TILE_LAYERS layers, counted from the part's corner, so that nothing about how
+Tiles are square in pixels and some layers high, counted from the part's corner, so that nothing about how
 a job is cut up can change them. Each tile has a reference normal: a kernel whose painted normal points
 against it is taken with the opposite sign, -n and -φ, so that all kernels of a tile agree (a laminate's normal
 is a line; the sign would otherwise show in Im G).
@@ -26,9 +26,39 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
     Ints = NDArray[np.int64]
 
-TILE = 32
-TILE_LAYERS = 16  # layers that share a list of kernels
+TILE_PIXELS = (32, 16, 8)  # sides of a tile, in whole vectors; larger ones load a kernel's factors less often
+TILE_LAYERS = (16, 8, 4, 2, 1)  # layers that share a list of kernels
+TILE_PERIODS = 1.5  # a larger tile reaches many kernels that most of its pixels do not, and its one normal is far off
 SIGN_BIT = np.uint32(0x80000000)  # cl/tile.h: the kernel is taken with the opposite sign
+
+
+@dataclass(frozen=True)
+class Tiling:
+    """The size of a job's tiles.
+
+    Attributes:
+        pixels: side in pixels, along x and y.
+        layers: height in layers.
+    """
+
+    pixels: int
+    layers: int
+
+    def block_middle_mm(self, layer: int, layer_mm: float) -> float:
+        """Mid-height of the tiles that hold a layer."""
+        return (layer // self.layers + 0.5) * self.layers * layer_mm
+
+
+def choose_tiling(grid: Grid, period_mm: float) -> Tiling:
+    """The largest tiles of at most TILE_PERIODS periods (or the smallest there are).
+
+    Args:
+        period_mm: the finest period of the job.
+    """
+    largest = TILE_PERIODS * period_mm
+    pixels = next((n for n in TILE_PIXELS if n * max(grid.pitch_mm) <= largest), TILE_PIXELS[-1])
+    layers = next((n for n in TILE_LAYERS if n * grid.layer_mm <= largest), TILE_LAYERS[-1])
+    return Tiling(pixels, layers)
 
 
 @dataclass(frozen=True)
@@ -66,9 +96,8 @@ class Reach:
         return int((self.last - self.first).max(initial=0)) + 1
 
 
-def reach(kernels: Kernels, axis: int, pitch_mm: float) -> Reach:
-    """Which tiles along x (0) or y (1) the kernels reach."""
-    side = TILE * pitch_mm
+def reach(kernels: Kernels, axis: int, side: float) -> Reach:
+    """Which tiles along x (0) or y (1), `side` mm long, the kernels reach."""
     centre = kernels.centre_mm[:, axis]
     first = np.floor((centre - kernels.radius_mm) / side).astype(np.int64)
     last = np.floor((centre + kernels.radius_mm) / side).astype(np.int64)
@@ -109,13 +138,13 @@ def tile_lists(
     return TileLists(tiles, matrix.indptr.astype(np.uint32), matrix.data.astype(np.uint32))
 
 
-def active_tiles(runs: Runs) -> NDArray[np.int32]:
+def active_tiles(runs: Runs, tile: int) -> NDArray[np.int32]:
     """(T, 2) column and row of the tiles with at least one solid pixel in some layer, by rows."""
-    rows, columns = padded_tiles(runs.grid)
+    rows, columns = tiles_over(runs.grid, tile)
     change = np.zeros((rows, columns + 1), np.int64)
-    row = runs.row % runs.grid.rows // TILE
-    np.add.at(change, (row, runs.start // TILE), 1)
-    np.add.at(change, (row, (runs.stop - 1) // TILE + 1), -1)
+    row = runs.row % runs.grid.rows // tile
+    np.add.at(change, (row, runs.start // tile), 1)
+    np.add.at(change, (row, (runs.stop - 1) // tile + 1), -1)
     return np.argwhere(np.cumsum(change, axis=1)[:, :-1] > 0)[:, ::-1].astype(np.int32)
 
 
@@ -125,6 +154,6 @@ def all_tiles(first: tuple[int, int], end: tuple[int, int]) -> NDArray[np.int32]
     return np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2).astype(np.int32)
 
 
-def padded_tiles(grid: Grid) -> tuple[int, int]:
+def tiles_over(grid: Grid, tile: int) -> tuple[int, int]:
     """Rows and columns of tiles that cover the part."""
-    return -(-grid.rows // TILE), -(-grid.columns // TILE)
+    return -(-grid.rows // tile), -(-grid.columns // tile)

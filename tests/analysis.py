@@ -112,24 +112,25 @@ def normal_of_block(
 def normal_from_cuts(field: NDArray[np.floating], pitch_mm: Pitch3, period_mm: float) -> Floats:
     """The normal of a block from three plane pictures alone: its middle xy, xz and yz cuts.
 
-    Each cut gives a 2 x 2 tensor of its plane, the border of one period left out; two cuts share each diagonal entry.
+    The stripes of a cut run within the laminate's sheets, so the normal is perpendicular to all three of them; a cut
+    counts by how much stronger its gradient is across its stripes than along. Its outermost half period is left out.
     """
     middle = [n // 2 for n in field.shape]
-    # (cut with row 0 at the top, axis across, axis up)
-    cuts = (
+    cuts = (  # picture with row 0 at the top, axis across, axis up
         (field[middle[0]], 0, 1),
         (field[::-1, middle[1], :], 0, 2),
         (field[::-1, ::-1, middle[2]], 1, 2),
     )
-    tensor = np.zeros((3, 3))
+    stripes = np.zeros((3, 3))
     for cut, across, up in cuts:
         pitch = pitch_mm[across], pitch_mm[up]
-        g = gradient(np.asarray(cut, np.float64), pitch, SMOOTHING * period_mm)
-        part = inner(cut.shape, pitch, period_mm)
-        for i, a in enumerate((across, up)):
-            for j, b in enumerate((across, up)):
-                tensor[a, b] += (g[i][part] * g[j][part]).mean() * (0.5 if a == b else 1.0)
-    return np.linalg.eigh(tensor)[1][:, -1]
+        part = inner(cut.shape, pitch, period_mm / 2)
+        g = [d[part] for d in gradient(np.asarray(cut, np.float64), pitch, SMOOTHING * period_mm)]
+        strength, axes = np.linalg.eigh(np.array([[(a * b).mean() for b in g] for a in g]))
+        along = np.zeros(3)
+        along[[across, up]] = axes[:, 0]
+        stripes += (strength[1] - strength[0]) * np.outer(along, along)
+    return np.linalg.eigh(stripes)[1][:, 0]
 
 
 # --- spectrum ----------------------------------------------------------------------------------------------
