@@ -54,6 +54,7 @@ def slice_command(options: Namespace) -> int:
 
 def _load(options: Namespace) -> Job:
     from amslicer.job import load_job
+    from amslicer.jobfile import OVERRIDES
     from amslicer.yamlfile import parse_value
 
     overrides: dict[str, Any] = {}
@@ -73,15 +74,9 @@ def _load(options: Namespace) -> Job:
             raise UsageError(error.message, hint=error.hint) from None
     try:
         return load_job(options.fields, options.part, overrides)
-    except JobError as error:
-        # A bad --set is the command line's fault, not the job file's.
-        if any(_blames(error.message, key) for key in overrides):
-            raise UsageError(error.message, hint=error.hint) from None
-        raise
-
-
-def _blames(message: str, key: str) -> bool:
-    return f"{key}:" in message or f"'{key}'" in message
+    except UsageError as error:
+        # Users of the command line know --set and --seed, not the overrides that they become.
+        raise UsageError(error.message.replace(OVERRIDES, "command line", 1), hint=error.hint) from None
 
 
 def _dry_run(job: Job, run: Run, options: Namespace) -> int:

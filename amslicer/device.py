@@ -7,6 +7,7 @@ import os
 import subprocess
 import sys
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -63,8 +64,11 @@ def list_devices(*, refresh: bool = False) -> list[DeviceInfo]:
     """
     remembered = {} if refresh else _read_verdicts()
     output = _run_probe([])
-    if output is None:
-        return []
+    if output is None or output[0] != 0:
+        raise DeviceError(
+            f"an OpenCL driver ended the process that listed the devices: {_reason(output)}",
+            hint="see that the user's cache folder (~/.cache) can be written to and the disk is not full",
+        )
     found = []
     for entry in json.loads(output[1] or "[]"):
         device = DeviceInfo(**entry)
@@ -82,7 +86,7 @@ def choose_device(substring: str | None = None) -> DeviceInfo:
     Raises:
         DeviceError: none matches, or none of those that match works; the message says why.
     """
-    devices = list_devices()
+    devices = _known_devices()
     if not devices:
         raise DeviceError("no OpenCL device was found on this machine", hint=INSTALL_HINT)
     wanted = [d for d in devices if substring is None or substring.lower() in d.label.lower()]
@@ -94,6 +98,12 @@ def choose_device(substring: str | None = None) -> DeviceInfo:
         reasons = "; ".join(f"{d.label}: {d.verdict}" for d in wanted)
         raise DeviceError(f"no OpenCL device works ({reasons})", hint=INSTALL_HINT)
     return working[0]
+
+
+@cache
+def _known_devices() -> tuple[DeviceInfo, ...]:
+    """The devices, asked for once per process: a probe is a process of its own."""
+    return tuple(list_devices())
 
 
 class Device:
@@ -210,11 +220,16 @@ class Device:
 
 def _probe(device: DeviceInfo) -> str:
     result = _run_probe([str(device.platform_index), str(device.device_index)])
-    if result is None:
-        return f"gave no answer within {PROBE_SECONDS} s"
-    code, stdout, stderr = result
-    if code == 0 and stdout.strip().endswith("ok"):
+    if result is not None and result[0] == 0 and result[1].strip().endswith("ok"):
         return "ok"
+    return _reason(result)
+
+
+def _reason(result: tuple[int, str, str] | None) -> str:
+    """Why a probe failed, in its own words."""
+    if result is None:
+        return f"no answer within {PROBE_SECONDS} s"
+    code, stdout, stderr = result
     if code < 0:
         return f"the driver ended the process (signal {-code})"
     lines = [line for line in (stdout + "\n" + stderr).splitlines() if line.strip()]

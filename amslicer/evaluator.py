@@ -23,10 +23,10 @@ BLOCK = 32
 AXIS = np.dtype([("offset", np.float32), ("wave", np.float32), ("tile", np.int32)])
 
 
-def work_shape(device: Device, tiling: Tiling, slots: int = 1) -> dict[str, int]:
+def work_shape(device: Device, tiling: Tiling) -> dict[str, int]:
     """The macros of cl/tile.h."""
     vector = min(16 if device.vector_width >= 16 else 8, tiling.pixels)
-    return {"TILE": tiling.pixels, "ROWS": ROWS, "BLOCK": BLOCK, "VECTOR": vector, "SLOTS": slots}
+    return {"TILE": tiling.pixels, "ROWS": ROWS, "BLOCK": BLOCK, "VECTOR": vector}
 
 
 class Evaluator:
@@ -52,6 +52,8 @@ class Evaluator:
         self.tiling = tiling
         sides = [tiling.pixels * pitch for pitch in grid.pitch_mm]
         self._reach = reach(kernels, 0, sides[0]), reach(kernels, 1, sides[1])
+        self._slots = max(along.slots for along in self._reach)
+        self._work_shape = work_shape(device, tiling)
         self.lists: TileLists = tile_lists(kernels, *self._reach, tiles, tile_normals)
         shape = np.stack([kernels.decay, kernels.radius_mm], axis=-1).astype(np.float32)
         self._shape = device.buffer(shape)
@@ -73,9 +75,10 @@ class Evaluator:
             return
         if self._tables is None:
             self._tables = [self._table(a) for a in (0, 1)]
-        self.device.kernel("rank1", self._constants())(
+        self.device.kernel("rank1", self._work_shape)(
             self.device.queue, (count, len(self.lists.tiles)), (1, 1), out, *self._lists,
             *self._tables, *self._axes, self._along_z(first, count), np.uint32(len(self.kernels)),
+            np.uint32(self._slots),
         )  # fmt: skip
 
     def field_per_pixel(self, out: Any, first: int, count: int) -> None:
@@ -83,14 +86,11 @@ class Evaluator:
         if len(self.lists.tiles) == 0:
             return
         tile = self.tiling.pixels
-        self.device.kernel("per_pixel", self._constants())(
+        self.device.kernel("per_pixel", self._work_shape)(
             self.device.queue, (tile, tile * len(self.lists.tiles), count), (tile, 1, 1), out, *self._lists,
             self._shape, *self._axes, self._along_z(first, count), np.uint32(len(self.kernels)),
             np.float32(self.grid.pitch_mm[0]), np.float32(self.grid.pitch_mm[1]),
         )  # fmt: skip
-
-    def _constants(self) -> dict[str, int]:
-        return work_shape(self.device, self.tiling, max(self._reach[0].slots, self._reach[1].slots))
 
     def _axis(self, axis: int) -> NDArray[Any]:
         out = np.empty(len(self.kernels), AXIS)
@@ -101,13 +101,14 @@ class Evaluator:
 
     def _table(self, axis: int) -> Any:
         """Enqueues the 1-D factors of all kernels along x (0) or y (1)."""
-        constants = self._constants()
-        slots, count = constants["SLOTS"], len(self.kernels)
-        table = self.device.empty(count * slots * 2 * self.tiling.pixels * 4)
+        count = len(self.kernels)
+        table = self.device.empty(count * self._slots * 2 * self.tiling.pixels * 4)
         if count:
-            kernel = self.device.kernel("tables", constants)
+            kernel = self.device.kernel("tables", self._work_shape)
             pitch = np.float32(self.grid.pitch_mm[axis])
-            kernel(self.device.queue, (count,), (1,), table, self._axes[axis], self._shape, pitch)
+            kernel(
+                self.device.queue, (count,), (1,), table, self._axes[axis], self._shape, pitch, np.int32(self._slots)
+            )
         return table
 
     def _along_z(self, first: int, count: int) -> Any:

@@ -10,18 +10,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from amslicer.errors import JobError, UsageError
+from amslicer.errors import UsageError
 
 if TYPE_CHECKING:
     import os
 
-    from pydantic import ValidationError
-
     from amslicer.fields.source import Inputs, Source
     from amslicer.specification import JobFile
-    from amslicer.yamlfile import Places
-
-DEFAULT_PRINTER = "generic-600dpi"
 
 
 @dataclass(frozen=True)
@@ -99,165 +94,17 @@ def load_job(
         UsageError: an override cannot be applied.
     """
     from amslicer.fields.source import Inputs
+    from amslicer.jobfile import Origin, validate
     from amslicer.yamlfile import read_yaml
 
-    places: Places = {}
     if isinstance(fields, Mapping):
-        name, folder, content = "job", Path.cwd(), deepcopy(dict(fields))
+        origin, content = Origin("job", Path.cwd()), deepcopy(dict(fields))
     else:
         file = Path(fields)
-        name, folder = str(file), file.parent
         content, places = read_yaml(file, "job file")
-    content.setdefault("printer", DEFAULT_PRINTER)
-    for key, value in (overrides or {}).items():
-        _override(content, key, value, folder, places)
-    content["printer"] = _expand_printer(content["printer"], folder)
-    spec = _validate(content, name, places)
-    _refuse_unbuilt(spec, name)
-    return Job(spec, Path(part), Inputs(folder), name)
-
-
-def _override(content: dict[str, Any], key: str, value: Any, folder: Path, places: Places) -> None:
-    *parents, last = key.split(".")
-    node: Any = content
-    for depth, parent in enumerate(parents):
-        if parent == "printer" and depth == 0:
-            content["printer"] = _expand_printer(content["printer"], folder)
-        node = node.setdefault(parent, {}) if isinstance(node, dict) else None
-        if not isinstance(node, dict):
-            raise UsageError(
-                f"--set {key}: '{'.'.join(parents[: depth + 1])}' is {node!r}, which has no key '{last}'"
-                if not isinstance(node, dict) and node is not None
-                else f"--set {key}: there is no such key",
-                hint=f"set the whole of it: --set '{parents[0]}=…'",
-            )
-    if parents == ["printer"]:
-        for pair in (("dpi", "pitch_um"), ("layer_mm", "layer_um")):
-            if last in pair:  # the other way to say the same thing
-                for other in pair:
-                    node.pop(other, None)
-    node[last] = value
-    for place in [p for p in places if p[: len(parents) + 1] == (*parents, last)]:
-        del places[place]
-
-
-def _expand_printer(printer: Any, folder: Path) -> Any:
-    from amslicer.printers import read_printer
-
-    return read_printer(printer, folder) if isinstance(printer, str) else printer
-
-
-def _validate(content: dict[str, Any], name: str, places: Places) -> JobFile:
-    from pydantic import ValidationError
-
-    from amslicer.specification import JobFile
-
-    try:
-        return JobFile.model_validate(content)
-    except ValidationError as error:
-        raise _explain(error, content, name, places) from None
-
-
-def _explain(error: ValidationError, content: dict[str, Any], name: str, places: Places) -> JobError:
-    """The first thing that is wrong, as a sentence with key, value, line and column."""
-    from amslicer.specification import key_paths
-
-    errors = error.errors(include_url=False)
-    first = errors[0]
-    path = _real_path(first["loc"], content)
-    key = ".".join(map(str, path)) or "the job file"
-    found: Any = content
-    for step in path:
-        found = _child(found, step)
-    at = next((places[path[:n]] for n in range(len(path), 0, -1) if path[:n] in places), None)
-    where = f"{name}, line {at[0]}, column {at[1]}" if at else name
-    hint = f"{len(errors) - 1} more problems after this one" if len(errors) > 1 else None
-    if first["type"] == "extra_forbidden":
-        problem = f"unknown key '{key}'"
-        hint = _nearest_key(str(path[-1]), key_paths()) or hint
-    elif first["type"] == "missing":
-        problem = f"the key '{'.'.join(map(str, first['loc']))}' is missing"
-        hint = "`amslicer init` writes an example with every key"
-    else:
-        text = first["msg"].removeprefix("Value error, ")
-        text = text[0].lower() + text[1:]
-        problem = f"{key}: {_shown(found)} {text}" if first["type"] == "field_source" else f"{key}: {text}"
-        if first["type"] != "value_error" and first["type"] != "field_source":
-            problem += f", but it is {_shown(found)}"
-        hint = _planned_hint(found) or hint
-    return JobError(f"{where}: {problem}", hint=hint)
-
-
-def _shown(value: Any) -> str:
-    text = json.dumps(value, ensure_ascii=False, default=str)
-    return text if len(text) <= 80 else text[:77] + "…"
-
-
-def _child(node: Any, step: str | int) -> Any:
-    """What stands under a key or index, or None."""
-    if isinstance(node, dict):
-        return node.get(step)
-    return node[step] if isinstance(node, list) and isinstance(step, int) and step < len(node) else None
-
-
-def _real_path(loc: tuple[int | str, ...], content: Any) -> tuple[int | str, ...]:
-    """The steps of a validation location that are keys of the content (it also names union members)."""
-    path: list[int | str] = []
-    node = content
-    for step in loc:
-        if (isinstance(node, dict) and step in node) or (isinstance(node, list) and isinstance(step, int)):
-            path.append(step)
-            node = _child(node, step)
-    return tuple(path)
-
-
-def _nearest_key(key: str, known: Mapping[str, str]) -> str | None:
-    import difflib
-
-    if key in known:
-        return f"the key is {known[key]}"
-    near = difflib.get_close_matches(key, list(known), n=1)
-    return f"did you mean {known[near[0]]}?" if near else None
-
-
-def _planned_hint(value: Any) -> str | None:
-    from amslicer.fields import PLANNED
-
-    planned = [k for k in value if k in (*PLANNED, "vector")] if isinstance(value, dict) else []
-    return f"{{{planned[0]}: …}} is not built yet in this version" if planned else None
-
-
-def _refuse_unbuilt(spec: JobFile, name: str) -> None:
-    """Keys of the language that this version accepts only at their defaults."""
-    from amslicer.noise import NOISES
-    from amslicer.profile import PROFILES
-    from amslicer.specification import AzimuthElevation
-
-    pattern, fields = spec.pattern, spec.fields
-    refusals = (
-        (pattern.noise not in NOISES, f"pattern.noise: '{pattern.noise}'", f"built: {', '.join(NOISES)}"),
-        (
-            pattern.profile not in PROFILES,
-            f"pattern.profile: '{pattern.profile}'",
-            f"built: {', '.join(PROFILES)}",
-        ),
-        (pattern.alignment != 0, f"pattern.alignment: {pattern.alignment}", "leave it at 0"),
-        (not isinstance(pattern.period, float), "pattern.period: a painted field", "give a number of mm"),
-        (fields.isotropy != 0, "fields.isotropy: other than 0", "leave it out"),
-        (len(spec.materials) > 2, f"materials: {len(spec.materials)} of them", "give two"),
-    )
-    for refused, what, hint in refusals:
-        if refused:
-            raise JobError(f"{name}: {what} is not built yet in this version", hint=hint)
-    if isinstance(pattern.period, float) and pattern.period <= 0:
-        raise JobError(f"{name}: pattern.period: must be greater than 0 mm, but it is {pattern.period}")
-    if isinstance(fields.orientation, AzimuthElevation) and pattern.dimensions == 2:
-        raise JobError(
-            f"{name}: fields.orientation: has an elevation, but pattern.dimensions is 2: the same in every layer",
-            hint="set pattern.dimensions to 3, or give orientation as one angle",
-        )
-    if isinstance(fields.ratio, float) and not 0 <= fields.ratio <= 1:
-        raise JobError(f"{name}: fields.ratio: must be between 0 and 1, but it is {fields.ratio}")
+        origin = Origin(str(file), file.parent, places)
+    spec = validate(content, origin, overrides or {})
+    return Job(spec, Path(part), Inputs(origin.folder), origin.name)
 
 
 def _find_sources(node: Any) -> Iterator[Source]:

@@ -84,8 +84,8 @@ class Slicer:
         row += (layer[segment] - first) * grid.rows
         order = np.argsort(row * (grid.columns + 1) + column, kind="stable")
         row, column, winding = row[order], column[order], np.cumsum(sign[order])
-        last_of_row = np.append(row[1:] != row[:-1], True)[: len(row)]
-        self._refuse_leaks(row[last_of_row & (winding != 0)], first)
+        ends = np.flatnonzero(np.append(row[1:] != row[:-1], True)[: len(row)])
+        self._refuse_leaks(row[ends[np.diff(winding[ends], prepend=0) != 0]], first)
         inside = np.flatnonzero((winding > 0)[:-1] & (column[1:] > column[:-1]))
         return Runs(end - first, grid, row[inside], column[inside], column[inside + 1])
 
@@ -101,7 +101,7 @@ class Slicer:
             layer, row = first + int(rows[0]) // self.grid.rows, int(rows[0]) % self.grid.rows
             raise PartError(
                 f"the mesh leaks in layer {layer} (z = {self.grid.z_mm(layer):.4f} mm above the part's lowest "
-                f"point): {len(rows)} pixel rows are entered and not left, the first at "
+                f"point): {len(rows)} pixel rows do not close, the first at "
                 f"y = {self.grid.y_mm()[row]:.4f} mm",
                 hint="repair the mesh (for example with Blender's 3D Print toolbox or admesh) so that it is closed",
             )
@@ -134,6 +134,8 @@ def expand(item: Ints, first: Ints, count: Ints) -> tuple[Ints, Ints]:
     return item[repeated], first[repeated] + (np.arange(len(repeated)) - before[repeated])
 
 
+# Where an edge's ends differ by rounding alone, the plane of the layer that they straddle may lie beyond both: the
+# crossing is held between them, or it would be far outside the part.
 def _segments(corners: Floats, layer: Ints, layer_mm: float) -> tuple[Floats, Floats]:
     """Where triangles cross the planes of layers: directed segments (N, 2), the solid on their left."""
     plane = centre_mm(layer, layer_mm)
@@ -149,7 +151,7 @@ def _segments(corners: Floats, layer: Ints, layer_mm: float) -> tuple[Floats, Fl
         low = np.where(b_above[:, None], a, b)
         high = np.where(b_above[:, None], b, a)
         height = high[:, 2] - low[:, 2]
-        share = (plane - low[:, 2]) / np.where(height == 0, 1.0, height)
+        share = np.clip((plane - low[:, 2]) / np.where(height == 0, 1.0, height), 0.0, 1.0)
         points[:, edge] = low[:, :2] + share[:, None] * (high[:, :2] - low[:, :2])
     # An outward triangle is entered from below along one edge and left along another: the segment runs from
     # the edge that falls through the plane to the edge that rises, with the solid on its left.
@@ -168,7 +170,7 @@ def _row_crossings(start: Floats, stop: Floats, grid: Grid) -> tuple[Ints, Ints,
     end = np.clip(first_centre(high[:, 1], grid.pitch_mm[1]), 0, grid.rows)
     segment, row = expand(np.arange(len(first)), first, end - first)
     a, b = low[segment], high[segment]
-    share = (centre_mm(row, grid.pitch_mm[1]) - a[:, 1]) / (b[:, 1] - a[:, 1])
+    share = np.clip((centre_mm(row, grid.pitch_mm[1]) - a[:, 1]) / (b[:, 1] - a[:, 1]), 0.0, 1.0)
     x = a[:, 0] + share * (b[:, 0] - a[:, 0])
     column = np.clip(first_centre(x, grid.pitch_mm[0]), 0, grid.columns)
     # Solid lies on a segment's left: an upward one is where a row, read left to right, leaves the solid.

@@ -145,6 +145,10 @@ class Pattern:
         self._ratio: NDArray[np.float32] | None = None
         self._running: Floats | None = None
         self._sheets: dict[int, Kernels] = {}
+        # What is ever looked at, margin included, in whole tiles: kernels are kept for all of it.
+        first, end = self._all_tiles()
+        side = tiling.pixels * np.array(grid.pitch_mm)
+        self._rectangle = np.array(first) * side, np.array(end) * side
 
     def labels(self, runs: Runs, first: int) -> NDArray[np.uint8]:
         """Labels of the layers first, first + 1, …: 0 empty, m = material m.
@@ -192,9 +196,9 @@ class Pattern:
     def field(self, layer: int, *, per_pixel: bool = False) -> NDArray[np.complex64]:
         """G at every pixel of a layer, margin included: (height, width) complex64, row 0 = lowest y."""
         grid, margin, tile = self.grid, self.grid.margin_px, self.tiling.pixels
-        before = -(-margin // tile)
-        end = (-(-(grid.columns + margin) // tile), -(-(grid.rows + margin) // tile))
-        evaluator = self._evaluator(layer, 1, all_tiles((-before, -before), end))
+        first, end = self._all_tiles()
+        before = -first[0]
+        evaluator = self._evaluator(layer, 1, all_tiles(first, end))
         parts = np.empty((end[1] + before, end[0] + before, tile, 2, tile), np.float32)
         buffer = self.device.empty(parts.nbytes)
         enqueue = evaluator.field_per_pixel if per_pixel else evaluator.field
@@ -204,6 +208,13 @@ class Pattern:
         corner = before * tile - margin
         window = slice(corner, corner + grid.height_px), slice(corner, corner + grid.width_px)
         return (re + 1j * im)[window].astype(np.complex64)
+
+    def _all_tiles(self) -> tuple[tuple[int, int], tuple[int, int]]:
+        """First and end (column, row) of the tiles that cover the part and its margin."""
+        grid, tile = self.grid, self.tiling.pixels
+        before = -(-grid.margin_px // tile)
+        columns, rows = (-(-(n + grid.margin_px) // tile) for n in (grid.columns, grid.rows))
+        return (-before, -before), (columns, rows)
 
     def _label_tiles(self, labels: NDArray[np.uint8], runs: Runs, tiles: NDArray[np.int32], first: int) -> None:
         """Writes the labels of the listed tiles into (layers, padded rows, padded columns)."""
@@ -217,7 +228,7 @@ class Pattern:
         if self.painted.ratio_depends_on_z:
             at_once = 1
         buffer = planar.buffer if planar else None
-        plane, tile = labels[0].nbytes, self.tiling.pixels
+        tile = self.tiling.pixels
         lists = self.device.buffer(tiles), self.device.buffer(slots)
         for start in range(0, runs.layers, at_once):
             count = min(at_once, runs.layers - start)
@@ -226,10 +237,9 @@ class Pattern:
                 evaluator.field(buffer, first + start, count)
             self.device.kernel("profile", work_shape(self.device, self.tiling))(
                 self.device.queue, (tile, len(tiles), count), (tile, 1, 1),
-                out.get_sub_region(start * plane, count * plane), buffer,
-                solid.get_sub_region(start * plane, count * plane), self._threshold_buffer(first + start),
+                out, buffer, solid, self._threshold_buffer(first + start),
                 *lists, np.uint32(1), np.array(self._padded[::-1], np.uint32), np.uint32(field_tiles),
-                np.uint32(1 if planar else count),
+                np.uint32(1 if planar else count), np.uint32(start),
             )  # fmt: skip
         self.device.read(out, labels)
 
@@ -271,12 +281,9 @@ class Pattern:
         """All kernels that reach a rectangle between two heights, in the order of their cells."""
         sheets = self.noise.sheets(low_z_mm, high_z_mm)
         self._sheets = {sheet: kernels for sheet, kernels in self._sheets.items() if sheet in sheets}
-        end = np.array(self._padded[::-1]) * self.grid.pitch_mm
         for sheet in sheets:
             if sheet not in self._sheets:
-                self._sheets[sheet] = self.noise.kernels(
-                    self._draw, sheet, np.minimum(low_mm, 0.0), np.maximum(high_mm, end), self.painted.normals
-                )
+                self._sheets[sheet] = self.noise.kernels(self._draw, sheet, *self._rectangle, self.painted.normals)
         near = []
         for sheet in sheets:
             kernels = self._sheets[sheet]

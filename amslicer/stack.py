@@ -170,15 +170,15 @@ def open_folder(out: Path, job: Job, *, overwrite: bool) -> None:
                 )
             _remove_stack(out)
         renamed = _input_names(job)
-        folders = [out / name for name in job.materials] + ([out / INPUTS] if renamed else [])
-        taken = [p for f in folders if f.exists() for p in f.iterdir()]
-        taken += [p for p in (out / JOB_FILE, out / MANIFEST) if p.exists()]
+        materials = [out / name for name in job.materials]
+        taken = [p for f in materials if f.exists() for p in f.iterdir() if LAYER_FILE.fullmatch(p.name)]
+        taken += [p for p in (out / name for name in (JOB_FILE, MANIFEST, *renamed.values())) if p.exists()]
         if taken:
             raise UsageError(
                 f"'{taken[0]}' stands where the stack would go, and amslicer did not write it",
                 hint="move it away or choose another folder (-o OUT)",
             )
-        for folder in folders:
+        for folder in [*materials, *([out / INPUTS] if renamed else [])]:
             folder.mkdir(parents=True, exist_ok=True)
     for name, new in renamed.items():
         write_atomically(out / new, job.inputs.read(name))

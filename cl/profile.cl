@@ -9,11 +9,13 @@
 #define to_ucharV CAT(convert_uchar, VECTOR)
 
 // labels, solid: [layer][padded rows][padded columns]; field as rank1.cl leaves it; tiles: (column, row) and
-// slots: place in the field of each tile; thresholds: [planes][padded rows][padded columns].
+// slots: place in the field of each tile; thresholds: [planes][padded rows][padded columns]; first:
+// the layer of labels and solid that the field's first layer is.
 kernel void profile(global uchar *restrict labels, global const float *restrict field,
                     global const uchar *restrict solid, global const float *restrict thresholds,
                     global const int2 *restrict tiles, global const uint *restrict slots,
-                    const uint planes, const uint2 padded, const uint field_tiles, const uint field_layers)
+                    const uint planes, const uint2 padded, const uint field_tiles,
+                    const uint field_layers, const uint first)
 {
     const uint row = (uint)get_global_id(0);
     const uint tile_index = (uint)get_global_id(1);
@@ -22,7 +24,7 @@ kernel void profile(global uchar *restrict labels, global const float *restrict 
     const size_t slot = (size_t)(layer % field_layers) * field_tiles + slots[tile_index];
     global const float *g = field + (slot * TILE + row) * 2 * TILE;
     const size_t in_plane = ((size_t)tile.y * TILE + row) * padded.x + (size_t)tile.x * TILE;
-    const size_t here = (size_t)layer * padded.x * padded.y + in_plane;
+    const size_t here = (size_t)(first + layer) * padded.x * padded.y + in_plane;
     for (int v = 0; v < TILE / VECTOR; ++v) {
         const floatV re = vloadV(v, g);
         const floatV im = vloadV(v, g + TILE);

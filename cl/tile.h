@@ -1,8 +1,8 @@
 // The work layout of a laminate: tiles of TILE × TILE pixels, counted from the part's own corner, and for
 // each kernel (impulse) of the noise the tiles along x and y that it reaches. The host defines:
-//   TILE    pixels per tile side           SLOTS   tiles per kernel and axis, at most
-//   ROWS    pixel rows per work-item       VECTOR  floats per vector instruction
-//   BLOCK   kernels staged at a time
+//   TILE    pixels per tile side           VECTOR  floats per vector instruction
+//   ROWS    pixel rows summed at a time    BLOCK   kernels staged at a time
+// `slots`, an argument, is the most tiles that a kernel reaches along an axis.
 
 #ifndef AMSLICER_TILE_H
 #define AMSLICER_TILE_H
@@ -20,8 +20,8 @@ typedef struct {
     int tile;        // first tile that it reaches
 } Axis;
 
-// Half of an 8-byte entry of a tile's list: which kernel, and +1 or -1 (0x80000000) to agree with the
-// tile's own direction.
+// An entry of a tile's list: which kernel, and whether it is taken with the opposite sign (0x80000000) to
+// agree with the tile's own direction.
 #define KERNEL_OF(entry) ((entry) & 0x7FFFFFFFu)
 #define SIGN_OF(entry) (((entry) & 0x80000000u) ? -1.0f : 1.0f)
 

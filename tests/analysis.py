@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
+from scipy.signal.windows import tukey
 
 Floats = NDArray[np.float64]
 Pitch = tuple[float, float]
@@ -19,6 +20,9 @@ Pitch3 = tuple[float, float, float]
 SMOOTHING = 0.1  # periods: of the derivative, wide enough to see across a pixel's staircase
 WINDOW = 1.5  # periods: the structure tensor's Gaussian window
 BAND = (0.6, 1.4)  # carriers: where the period's power is looked for
+TAPER = (
+    0.25  # of each side falls to zero in a spectrum; a Hann window throws away so much that seeds scatter twice as far
+)
 
 
 def signed(labels: NDArray[np.uint8]) -> NDArray[np.float32]:
@@ -105,8 +109,8 @@ def normal_of_block(
     field: NDArray[np.floating], weights: NDArray[np.floating], pitch_mm: Pitch3, period_mm: float
 ) -> Floats:
     """The normal of a block: the strongest direction of its weighted 3-D structure tensor."""
-    g = gradient_3d(field, pitch_mm, SMOOTHING * period_mm)
-    return np.linalg.eigh(np.einsum("lhw,ilhw,jlhw->ij", weights, g, g, optimize=True))[1][:, -1]
+    g = gradient_3d(field, pitch_mm, SMOOTHING * period_mm).reshape(3, -1)
+    return np.linalg.eigh(g @ (g * np.ravel(weights)).T)[1][:, -1]
 
 
 def normal_from_cuts(field: NDArray[np.floating], pitch_mm: Pitch3, period_mm: float) -> Floats:
@@ -137,9 +141,9 @@ def normal_from_cuts(field: NDArray[np.floating], pitch_mm: Pitch3, period_mm: f
 
 
 def power(field: NDArray[np.floating], pitch_mm: Pitch) -> tuple[Floats, Floats]:
-    """Power spectrum under a Hann window, the mean removed, and its frequencies |f| per mm."""
+    """Power spectrum under a window, the mean removed, and its frequencies |f| per mm."""
     rows, columns = field.shape
-    window = np.hanning(rows)[:, None] * np.hanning(columns)[None, :]
+    window = tukey(rows, TAPER)[:, None] * tukey(columns, TAPER)[None, :]
     values = np.asarray(field, np.float64)
     values = values - (values * window).sum() / window.sum()
     fy, fx = np.fft.fftfreq(rows, pitch_mm[1]), np.fft.rfftfreq(columns, pitch_mm[0])

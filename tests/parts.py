@@ -35,7 +35,7 @@ def box(folder: Path, size_mm: tuple[float, float, float], name: str = "part.stl
 
 
 def plate(folder: Path, width_mm: float, depth_mm: float) -> Path:
-    """A plate of one layer of 0.05 to 0.1 mm."""
+    """A plate of one layer, for layers below 0.1 mm."""
     return box(folder, (width_mm, depth_mm, 0.05))
 
 
@@ -86,14 +86,12 @@ def pitch_mm(printer: Mapping[str, Any]) -> tuple[float, float, float]:
 
 
 def centres(shape: tuple[int, int], pitch: tuple[float, ...]) -> tuple[Floats, Floats]:
-    """x (1, W) and y (H, 1) of a bitmap's pixel centres, mm from the part's lower left corner; row 0 is the largest y."""
+    """x (1, W) and y (H, 1) of a bitmap's pixel centres, mm from its lower left corner; row 0 is the largest y."""
     return (np.arange(shape[1])[None, :] + 0.5) * pitch[0], (shape[0] - np.arange(shape[0])[:, None] - 0.5) * pitch[1]
 
 
-def painted_line(
-    grey: NDArray[np.uint8], low_deg: float, high_deg: float, u: Floats, v: Floats
-) -> Floats:
-    """The direction that a picture paints at shares u, v (0 … 1, v up) of its box: bilinear as lines, clamped, degrees."""
+def painted_line(grey: NDArray[np.uint8], low_deg: float, high_deg: float, u: Floats, v: Floats) -> Floats:
+    """Degrees that a picture paints at shares u, v (0 … 1, v up) of its box: bilinear as lines, clamped."""
     doubled = np.deg2rad(2 * (low_deg + grey.astype(np.float64) / 255 * (high_deg - low_deg)))
     u, v = np.broadcast_arrays(u, v)
     at = np.stack([(1 - v) * grey.shape[0] - 0.5, u * grey.shape[1] - 0.5])
@@ -104,7 +102,7 @@ def painted_line(
 
 
 def distance_to_jumps(grey: NDArray[np.uint8], low_deg: float, high_deg: float, jump_deg: float) -> Floats:
-    """Distance, in texels, of each texel from where the painted line turns by more than `jump_deg` to the next texel."""
+    """Distance, in texels, of each texel from where the painted line turns by more between two texels."""
     angle = low_deg + grey.astype(np.float64) / 255 * (high_deg - low_deg)
     jumps = np.zeros(grey.shape, bool)
     for axis in (0, 1):

@@ -65,7 +65,7 @@ def _unit(azimuth_deg: Floats, elevation_deg: Floats) -> Floats:
 
 def _line_mean(normals: Floats, weights: Floats) -> Floats:
     """Mean of (K, N, 3) normals as lines: the largest eigenvector of Σ w n nᵀ, with the heaviest sample's sign."""
-    heaviest = normals[np.argmax(weights, axis=0), np.arange(normals.shape[1])]
+    heaviest: Floats = normals[np.argmax(weights, axis=0), np.arange(normals.shape[1])]
     agree = np.all(normals == normals[0], axis=(0, 2))
     if agree.all():
         return heaviest
