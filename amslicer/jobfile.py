@@ -40,7 +40,8 @@ class Origin:
 
     def error(self, path: KeyPath, problem: str, hint: str | None = None) -> AmslicerError:
         """The error for a key: the job file's fault with its place, or that of whoever overrode it."""
-        if any(path[: len(key)] == key for key in self.overridden):
+        written = path in self.places
+        if any(path[: len(key)] == key or (key[: len(path)] == path and not written) for key in self.overridden):
             return UsageError(f"{OVERRIDES}: {problem}", hint=hint)
         place = next((self.places[path[:n]] for n in range(len(path), 0, -1) if path[:n] in self.places), None)
         where = f"{self.name}, line {place[0]}, column {place[1]}" if place else self.name

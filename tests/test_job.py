@@ -270,7 +270,6 @@ def test_accepted(key: str, value: Any, expected: Any) -> None:
         ("fields.ratio", [0.3], "fields.ratio: [0.3] is not a field"),
         ("fields.ratio", {}, "fields.ratio: {} is not a field"),
         ("fields.ratio.gradient", 3, "fields.ratio.gradient: "),
-        # FAILS: two rows: the message says fields.ratio.gradient.gradient.axis (.to).
         ("fields.ratio.gradient", {}, "'fields.ratio.gradient.axis' is missing"),
         ("fields.ratio.gradient", {"axis": "x", "from": 0}, "'fields.ratio.gradient.to' is missing"),
         ("fields.ratio.gradient", {"axis": "q", "from": 0, "to": 1}, "fields.ratio.gradient.axis: "),
@@ -506,16 +505,19 @@ def test_a_printer_and_then_its_layer() -> None:
 @pytest.mark.parametrize(
     ("key", "value", "kind", "said"),
     [
-        ("patern.period", 2, JobError, "'patern'"),
-        ("pattern.perid", 2, JobError, "'pattern.perid'"),
-        ("pattern.period", -1, JobError, "pattern.period: "),
+        ("patern.period", 2, UsageError, "'patern"),
+        ("pattern.perid", 2, UsageError, "'pattern.perid'"),
+        ("pattern.period", -1, UsageError, "pattern.period: "),
+        ("pattern.period", "x", UsageError, "pattern.period: "),
         ("pattern.period.x", 2, UsageError, "pattern.period"),
+        ("fields.ratio", 2, UsageError, "fields.ratio: "),
         ("fields.ratio.x", 1, UsageError, "fields.ratio"),
         ("materials.0.name", "c", UsageError, "materials"),
-        ("printer.dip", 3, JobError, "'printer.dip'"),
-        ("printer", "generic-60dpi", JobError, "'generic-60dpi'"),
-        ("a.b.c", 1, JobError, "'a'"),
-        ("", 1, AmslicerError, "key"),
+        ("printer.dip", 3, UsageError, "'printer.dip'"),
+        ("printer.dpi", 0, UsageError, "printer.dpi"),
+        ("printer", "generic-60dpi", JobError, "'generic-60dpi'"),  # a printer: exit 3
+        ("a.b.c", 1, UsageError, "'a"),
+        ("", 1, UsageError, "key"),
     ],
 )
 def test_overrides_that_are_refused(key: str, value: Any, kind: type[AmslicerError], said: str) -> None:
@@ -528,9 +530,10 @@ def test_overrides_that_are_refused(key: str, value: Any, kind: type[AmslicerErr
 def test_an_override_is_not_blamed_on_a_line_of_the_file(tmp_path: Path) -> None:
     file = tmp_path / "job.yaml"
     file.write_text("materials: [a, b]\nfields: {ratio: 0.3}\npattern:\n  seed: 1\n", encoding="utf-8")
-    with pytest.raises(JobError) as caught:
+    with pytest.raises(UsageError) as caught:
         load_job(file, part="part.stl", overrides={"pattern.seed": -1})
     assert "line 4" not in caught.value.message
+    assert "job.yaml" not in caught.value.message
 
 
 # Frozen
