@@ -130,6 +130,7 @@ class Device:
         self.device = device
         self.context = cl.Context([device])
         self.queue = cl.CommandQueue(self.context, device)
+        self._scratch: dict[str, Any] = {}
         self._kernels: dict[tuple[str, tuple[tuple[str, int], ...]], Any] = {}
 
     @property
@@ -183,14 +184,19 @@ class Device:
         self._check_size(nbytes)
         return cl.Buffer(self.context, cl.mem_flags.READ_WRITE, max(nbytes, 4))
 
-    def zeros(self, nbytes: int) -> Any:
-        """A device buffer of zeros."""
+    def scratch(self, name: str, nbytes: int) -> Any:
+        """The device's buffer of this name, at least `nbytes` long; its content is whatever was left in it."""
+        if name not in self._scratch or self._scratch[name].size < nbytes:
+            self._scratch.pop(name, None)
+            self._scratch[name] = self.empty(nbytes)
+        return self._scratch[name]
+
+    def fill_zeros(self, buffer: Any, nbytes: int) -> None:
+        """Enqueues zeros into the start of a buffer."""
         import numpy as np
         import pyopencl as cl
 
-        buffer = self.empty(nbytes)
-        cl.enqueue_fill_buffer(self.queue, buffer, np.zeros(1, np.uint8), 0, max(nbytes, 4))
-        return buffer
+        cl.enqueue_fill_buffer(self.queue, buffer, np.zeros(1, np.uint8), 0, nbytes)
 
     def read(self, buffer: Any, out: NDArray[np.generic]) -> None:
         """Copies the start of `buffer` into the contiguous array `out` and waits for it."""
@@ -216,6 +222,7 @@ class Device:
         """Waits for the queue and lets go of the device."""
         self.queue.finish()
         self._kernels.clear()
+        self._scratch.clear()
 
 
 def _probe(device: DeviceInfo) -> str:

@@ -32,6 +32,8 @@ def work_shape(device: Device, tiling: Tiling) -> dict[str, int]:
 class Evaluator:
     """The kernels of a slab of layers, on the device, ready to give G for its layers.
 
+    Evaluators of one device share its scratch buffers: use one at a time.
+
     Args:
         device: an open device.
         kernels: all kernels that reach the slab.
@@ -60,37 +62,49 @@ class Evaluator:
         self._axes = [device.buffer(self._axis(a)) for a in (0, 1)]
         self._lists = [device.buffer(a) for a in (self.lists.tiles, self.lists.starts, self.lists.entries)]
         self._tables: list[Any] | None = None
+        self._along: tuple[tuple[int, int], Any] | None = None
 
     @property
     def floats_per_layer(self) -> int:
         """Size of G of one layer: real and imaginary part of every pixel of every tile."""
         return len(self.lists.tiles) * self.tiling.pixels**2 * 2
 
-    def field(self, out: Any, first: int, count: int) -> None:
-        """Enqueues G of the layers first … first + count - 1 into `out`.
+    def field(
+        self, first: int, count: int, some: range | None = None, out: Any = None
+    ) -> tuple[Any, NDArray[np.uint32]]:
+        """Enqueues G of the layers first … first + count - 1.
 
-        Layout: float32 [layers][tiles][rows of a tile][real, imaginary][columns of a tile].
+        Args:
+            some: a run of the listed tiles; None means all.
+            out: a buffer of its own; None lends one that the next call overwrites.
+
+        Returns:
+            The buffer, float32 [layers][tiles][rows of a tile][real, imaginary][columns of a tile], and each
+            tile's number in it.
         """
-        if len(self.lists.tiles) == 0:
-            return
+        some = some or range(len(self.lists.tiles))
+        out = out or self.device.scratch("field", 8 * count * len(some) * self.tiling.pixels**2)
         if self._tables is None:
             self._tables = [self._table(a) for a in (0, 1)]
-        self.device.kernel("rank1", self._work_shape)(
-            self.device.queue, (count, len(self.lists.tiles)), (1, 1), out, *self._lists,
-            *self._tables, *self._axes, self._along_z(first, count), np.uint32(len(self.kernels)),
-            np.uint32(self._slots),
-        )  # fmt: skip
+        if len(some):
+            self.device.kernel("rank1", self._work_shape)(
+                self.device.queue, (count, len(some)), (1, 1), out, *self._lists, *self._tables, *self._axes,
+                self._along_z(first, count), np.uint32(len(self.kernels)), np.uint32(self._slots),
+                np.uint32(some.start),
+            )  # fmt: skip
+        return out, np.arange(len(some), dtype=np.uint32)
 
-    def field_per_pixel(self, out: Any, first: int, count: int) -> None:
-        """The same G, each kernel's exponential, sine and cosine computed at each pixel."""
-        if len(self.lists.tiles) == 0:
-            return
-        tile = self.tiling.pixels
-        self.device.kernel("per_pixel", self._work_shape)(
-            self.device.queue, (tile, tile * len(self.lists.tiles), count), (tile, 1, 1), out, *self._lists,
-            self._shape, *self._axes, self._along_z(first, count), np.uint32(len(self.kernels)),
-            np.float32(self.grid.pitch_mm[0]), np.float32(self.grid.pitch_mm[1]),
-        )  # fmt: skip
+    def field_per_pixel(self, first: int, count: int) -> tuple[Any, NDArray[np.uint32]]:
+        """The same G of all tiles, each kernel's exponential, sine and cosine computed at each pixel."""
+        tile, tiles = self.tiling.pixels, len(self.lists.tiles)
+        out = self.device.scratch("field", 8 * count * tiles * tile**2)
+        if tiles:
+            self.device.kernel("per_pixel", self._work_shape)(
+                self.device.queue, (tile, tile * tiles, count), (tile, 1, 1), out, *self._lists,
+                self._shape, *self._axes, self._along_z(first, count), np.uint32(len(self.kernels)),
+                np.float32(self.grid.pitch_mm[0]), np.float32(self.grid.pitch_mm[1]),
+            )  # fmt: skip
+        return out, np.arange(tiles, dtype=np.uint32)
 
     def _axis(self, axis: int) -> NDArray[Any]:
         out = np.empty(len(self.kernels), AXIS)
@@ -102,7 +116,7 @@ class Evaluator:
     def _table(self, axis: int) -> Any:
         """Enqueues the 1-D factors of all kernels along x (0) or y (1)."""
         count = len(self.kernels)
-        table = self.device.empty(count * self._slots * 2 * self.tiling.pixels * 4)
+        table = self.device.scratch(f"table{axis}", count * self._slots * 2 * self.tiling.pixels * 4)
         if count:
             kernel = self.device.kernel("tables", self._work_shape)
             pitch = np.float32(self.grid.pitch_mm[axis])
@@ -112,20 +126,19 @@ class Evaluator:
         return table
 
     def _along_z(self, first: int, count: int) -> Any:
-        """Enqueues the factors along z of some layers, the random phase included: complex64 [layers][kernels]."""
+        """The factors along z of some layers, the random phase included: complex64 [layers][kernels]; kept."""
+        if self._along is not None and self._along[0] == (first, count):
+            return self._along[1]
         # Heights count from the block of layers, not from the first layer asked for: float32 must round the same.
         kernels, in_block = self.kernels, first % self.tiling.layers
-        columns = (
-            self.grid.z_mm(first - in_block) - kernels.centre_mm[:, 2],
-            kernels.wave[:, 2],
-            kernels.phase,
-            kernels.decay,
-        )
-        factors = self.device.empty(8 * count * len(kernels))
+        base = self.grid.z_mm(first - in_block)
+        columns = (base - kernels.centre_mm[:, 2], kernels.wave[:, 2], kernels.phase, kernels.decay)
+        factors = self.device.scratch("along_z", 8 * count * len(kernels))
         if len(kernels):
             self.device.run(
                 self.device.kernel("along_z"), (len(kernels), count), factors,
                 self.device.buffer(np.stack(columns, axis=-1).astype(np.float32)), self._shape,
                 np.uint32(len(kernels)), np.float32(self.grid.layer_mm), np.uint32(in_block), np.uint32(self.planar),
             )  # fmt: skip
+        self._along = ((first, count), factors)
         return factors

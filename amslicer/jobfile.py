@@ -108,7 +108,8 @@ def _explain(error: ValidationError, content: dict[str, Any], origin: Origin) ->
     from amslicer.specification import key_paths
 
     errors = error.errors(include_url=False)
-    first = errors[0]
+    # A misspelt key is also a missing one: say what was typed.
+    first = next((e for e in errors if e["type"] == "extra_forbidden"), errors[0])
     path = _real_path(first["loc"], content)
     key = ".".join(map(str, path)) or "the job file"
     found: Any = content
@@ -128,7 +129,7 @@ def _explain(error: ValidationError, content: dict[str, Any], origin: Origin) ->
         problem = f"{key}: {text}"
     else:
         problem = f"{key}: {text}, but it is {_shown(found)}"
-    return origin.error(path, problem, _planned_hint(found) or hint)
+    return origin.error(path, problem, _source_hint(found) or hint)
 
 
 def _shown(value: Any) -> str:
@@ -145,12 +146,17 @@ def _child(node: Any, step: str | int) -> Any:
 
 def _real_path(loc: tuple[int | str, ...], content: Any) -> KeyPath:
     """The steps of a validation location that are keys of the content (it also names union members)."""
+    from amslicer.fields import SOURCES
+
     path: list[int | str] = []
-    node = content
+    node, named = content, False
     for step in loc:
-        if (isinstance(node, dict) and step in node) or (isinstance(node, list) and isinstance(step, int)):
+        # A field's location starts with the name of its source, which is one of its keys too.
+        if step in SOURCES and isinstance(node, dict) and step in node and not named:
+            named = True
+        elif (isinstance(node, dict) and step in node) or (isinstance(node, list) and isinstance(step, int)):
             path.append(step)
-            node = _child(node, step)
+            node, named = _child(node, step), False
     return tuple(path)
 
 
@@ -163,11 +169,24 @@ def _nearest_key(key: str, known: Mapping[str, str]) -> str | None:
     return f"did you mean {known[near[0]]}?" if near else None
 
 
-def _planned_hint(value: Any) -> str | None:
-    from amslicer.fields import PLANNED
+def _source_hint(value: Any) -> str | None:
+    """What was meant by a mapping that is no field."""
+    import difflib
 
-    planned = [k for k in value if k in (*PLANNED, "vector")] if isinstance(value, dict) else []
-    return f"{{{planned[0]}: …}} is not built yet in this version" if planned else None
+    from amslicer.fields import PLANNED, SOURCES
+
+    if not isinstance(value, dict):
+        return None
+    named = [key for key in value if key in SOURCES]
+    if len(named) > 1:
+        return f"give one of {' and '.join(named)}, not both"
+    for key in value:
+        if key in (*PLANNED, "vector"):
+            return f"{{{key}: …}} is not built yet in this version"
+        near = difflib.get_close_matches(key, [*SOURCES, *PLANNED, "azimuth", "elevation"], n=1)
+        if near:
+            return f"did you mean {near[0]}?"
+    return None
 
 
 def _refuse_unbuilt(spec: JobFile, origin: Origin) -> None:

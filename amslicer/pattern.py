@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -29,7 +30,7 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
 
-FIELD_BYTES = 64 << 20  # G of a few layers at a time: 8 bytes per pixel
+FIELD_BYTES = 32 << 20  # G of some tiles at a time: 8 bytes per pixel and layer, within a processor's cache
 RATIO_ROWS = 64  # rows of the ratio evaluated at a time; fixed, so that every run does the same arithmetic
 RATIO_ROUNDING = 1e-9  # how far interpolation may leave 0…1
 
@@ -142,6 +143,7 @@ class Pattern:
         self._padded = tuple(tiling.pixels * count for count in tiles_over(grid, tiling.pixels))
         self._planar_field: PlanarField | None = None
         self._thresholds: Any = None
+        self._graded: tuple[tuple[int, int], list[Any]] | None = None
         self._ratio: NDArray[np.float32] | None = None
         self._running: Floats | None = None
         self._sheets: dict[int, Kernels] = {}
@@ -200,10 +202,8 @@ class Pattern:
         before = -first[0]
         evaluator = self._evaluator(layer, 1, all_tiles(first, end))
         parts = np.empty((end[1] + before, end[0] + before, tile, 2, tile), np.float32)
-        buffer = self.device.empty(parts.nbytes)
-        enqueue = evaluator.field_per_pixel if per_pixel else evaluator.field
-        enqueue(buffer, layer, 1)
-        self.device.read(buffer, parts)
+        evaluate = evaluator.field_per_pixel if per_pixel else evaluator.field
+        self.device.read(evaluate(layer, 1)[0], parts)
         re, im = (parts[:, :, :, i].transpose(0, 2, 1, 3).reshape(parts.shape[0] * tile, -1) for i in (0, 1))
         corner = before * tile - margin
         window = slice(corner, corner + grid.height_px), slice(corner, corner + grid.width_px)
@@ -218,35 +218,37 @@ class Pattern:
 
     def _label_tiles(self, labels: NDArray[np.uint8], runs: Runs, tiles: NDArray[np.int32], first: int) -> None:
         """Writes the labels of the listed tiles into (layers, padded rows, padded columns)."""
-        solid = self._solid(runs)
-        out = self.device.zeros(labels.nbytes)
+        device, tile = self.device, self.tiling.pixels
+        solid, out = self._solid(runs), device.scratch("labels", labels.nbytes)
+        device.fill_zeros(out, labels.nbytes)
         planar = self._planar_g() if self.planar else None
         evaluator = None if planar else self._evaluator(first, runs.layers, tiles)
-        slots = planar.slot_of_tile[tiles[:, 1], tiles[:, 0]] if planar else np.arange(len(tiles), dtype=np.uint32)
-        field_tiles = planar.slot_of_tile.size if planar else len(tiles)
-        at_once = runs.layers if evaluator is None else max(1, FIELD_BYTES // (4 * evaluator.floats_per_layer))
-        if self.painted.ratio_depends_on_z:
-            at_once = 1
-        buffer = planar.buffer if planar else None
-        tile = self.tiling.pixels
-        lists = self.device.buffer(tiles), self.device.buffer(slots)
-        for start in range(0, runs.layers, at_once):
-            count = min(at_once, runs.layers - start)
-            if evaluator is not None:
-                buffer = buffer or self.device.empty(min(at_once, runs.layers) * 4 * evaluator.floats_per_layer)
-                evaluator.field(buffer, first + start, count)
-            self.device.kernel("profile", work_shape(self.device, self.tiling))(
-                self.device.queue, (tile, len(tiles), count), (tile, 1, 1),
-                out, buffer, solid, self._threshold_buffer(first + start),
-                *lists, np.uint32(1), np.array(self._padded[::-1], np.uint32), np.uint32(field_tiles),
-                np.uint32(1 if planar else count), np.uint32(start),
-            )  # fmt: skip
-        self.device.read(out, labels)
+        # Few enough tiles at a time for their G to stay in the cache between the noise and the profile.
+        layers = 1 if planar else runs.layers
+        at_once = max(1, FIELD_BYTES // (8 * tile * tile * layers))
+        for start in range(0, len(tiles), at_once):
+            some = tiles[start : start + at_once]
+            if planar:
+                field, slots = planar.buffer, planar.slot_of_tile[some[:, 1], some[:, 0]]
+            else:
+                assert evaluator is not None
+                field, slots = evaluator.field(first, layers, range(start, start + len(some)))
+            profiled = device.buffer(some), device.buffer(slots)
+            field_tiles = np.uint32(planar.slot_of_tile.size if planar else len(some))
+            for layer, count, thresholds in self._threshold_buffers(first, runs.layers):
+                device.kernel("profile", work_shape(device, self.tiling))(
+                    device.queue, (tile, len(some), count), (tile, 1, 1), out, field, solid, thresholds, *profiled,
+                    np.uint32(1), np.array(self._padded[::-1], np.uint32), field_tiles, np.uint32(layers),
+                    np.uint32(layer),
+                )  # fmt: skip
+        device.read(out, labels)
 
     def _solid(self, runs: Runs) -> Any:
         """The solid pixels as a device buffer: uint8 [layers][padded rows][padded columns]."""
         rows, columns = self._padded
-        solid = self.device.zeros(runs.layers * rows * columns)
+        size = runs.layers * rows * columns
+        solid = self.device.scratch("solid", size)
+        self.device.fill_zeros(solid, size)
         total = runs.layers * self.grid.rows
         starts = np.searchsorted(runs.row, np.arange(total + 1)).astype(np.uint32)
         pairs = np.stack([runs.start, runs.stop], axis=-1).astype(np.int32)
@@ -262,7 +264,7 @@ class Pattern:
             rows, columns = tiles_over(self.grid, self.tiling.pixels)
             evaluator = self._evaluator(0, 1, all_tiles((0, 0), (columns, rows)))
             buffer = self.device.empty(4 * evaluator.floats_per_layer)
-            evaluator.field(buffer, 0, 1)
+            evaluator.field(0, 1, out=buffer)
             slots = np.arange(rows * columns, dtype=np.uint32).reshape(rows, columns)
             self._planar_field = PlanarField(buffer, slots)
         return self._planar_field
@@ -308,9 +310,19 @@ class Pattern:
         self.device.read(buffer, words)
         return words
 
+    def _threshold_buffers(self, first: int, count: int) -> Iterator[tuple[int, int, Any]]:
+        """For runs of layers with the same painted ratio: (number of the first, how many, thresholds)."""
+        if not self.painted.ratio_depends_on_z:
+            if self._thresholds is None:
+                self._thresholds = self._threshold_buffer(first)
+            yield 0, count, self._thresholds
+            return
+        if self._graded is None or self._graded[0] != (first, count):
+            self._graded = ((first, count), [self._threshold_buffer(first + i) for i in range(count)])
+        for layer, thresholds in enumerate(self._graded[1]):
+            yield layer, 1, thresholds
+
     def _threshold_buffer(self, layer: int) -> Any:
-        if self.painted.ratio_depends_on_z or self._thresholds is None:
-            padded = np.zeros(self._padded, np.float32)
-            padded[: self.grid.rows, : self.grid.columns] = self._thresholds_of(self.ratio(layer))
-            self._thresholds = self.device.buffer(padded)
-        return self._thresholds
+        padded = np.zeros(self._padded, np.float32)
+        padded[: self.grid.rows, : self.grid.columns] = self._thresholds_of(self.ratio(layer))
+        return self.device.buffer(padded)

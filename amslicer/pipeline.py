@@ -29,11 +29,14 @@ if TYPE_CHECKING:
 
 Progress = Callable[[int, int], None]
 
-# Solid masks and labels of one batch of layers: bounds memory, changes no byte.
-BATCH_PIXELS = 1 << 26
+# Masks, labels and (where the ratio changes with z) thresholds of one batch of layers: bounds memory, changes no
+# byte.
+BATCH_BYTES = 1 << 27
+MASK_BYTES, THRESHOLD_BYTES = 2, 4  # per pixel
 # One layer's G, thresholds and masks take about 20 bytes per pixel; beyond this no machine holds them.
 MAX_LAYER_PIXELS = 200_000_000
 MAX_LAYERS = 1_000_000
+MAX_SIDE_MM = 1e7  # 10 km
 NOTED_MM = 5e-4  # moves that would be shown as 0.000 mm are float noise
 MIN_PERIOD_PX = 3  # below, pixels do not show where one sheet ends
 
@@ -99,6 +102,7 @@ def prepare(job: Job) -> Prepared:
     """
     spec = job.spec
     mesh = read_mesh(job.part, spec.part.units)
+    _refuse_huge(job, float(mesh.size_mm.max()) * spec.part.scale)
     placement, vertices = place(mesh, scale=spec.part.scale, rotate_deg=spec.part.rotate, on_bed=spec.part.on_bed)
     printer = spec.printer
     grid = cover(placement.size_mm.tolist(), printer.pitch_mm, printer.layer_height_mm, printer.margin_px)
@@ -108,6 +112,14 @@ def prepare(job: Job) -> Prepared:
     assert isinstance(period, float)
     tiling = choose_tiling(grid, period)
     return Prepared(job, mesh, placement, grid, tiling, make_slicer(vertices, mesh.triangles, grid), painted)
+
+
+def _refuse_huge(job: Job, side_mm: float) -> None:
+    if side_mm > MAX_SIDE_MM:
+        raise JobError(
+            f"the job is too large: '{job.part.name}' is {side_mm:.3g} mm long; at most {MAX_SIDE_MM:g} mm are sliced",
+            hint="check the part's scale and units (--scale, --units)",
+        )
 
 
 def _refuse_absurd(job: Job, grid: Grid, placement: Placement) -> None:
@@ -194,7 +206,7 @@ def make_layers(
 ) -> Iterator[list[Made]]:
     """Batches of layers: masks in the pool's threads, then labels on the device."""
     grid = prepared.grid
-    for first, end in batches(chosen, grid, prepared.tiling):
+    for first, end in batches(chosen, grid, prepared.tiling, flat_ratio=not prepared.painted.ratio_depends_on_z):
         pieces = np.array_split(np.arange(first, end), min(threads, end - first))
         parts = pool.map(lambda piece: prepared.slicer.runs(int(piece[0]), int(piece[-1]) + 1), pieces)
         runs = join_runs(list(parts))
@@ -203,9 +215,10 @@ def make_layers(
         yield [Made(_layer(prepared, first + i, layer), asked[i]) for i, layer in enumerate(labels)]
 
 
-def batches(chosen: range, grid: Grid, tiling: Tiling) -> Iterator[tuple[int, int]]:
+def batches(chosen: range, grid: Grid, tiling: Tiling, *, flat_ratio: bool) -> Iterator[tuple[int, int]]:
     """Half-open runs of layers, none across a border of tiles, each within the memory bound."""
-    at_once = max(1, min(tiling.layers, BATCH_PIXELS // (grid.columns * grid.rows)))
+    bytes_per_pixel = MASK_BYTES + (0 if flat_ratio else THRESHOLD_BYTES)
+    at_once = max(1, min(tiling.layers, BATCH_BYTES // (bytes_per_pixel * grid.columns * grid.rows)))
     first = chosen.start
     while first < chosen.stop:
         border = (first // tiling.layers + 1) * tiling.layers

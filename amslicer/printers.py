@@ -15,6 +15,13 @@ def printer_names() -> list[str]:
     return sorted(file.stem for file in (resource_folder("configs") / "printers").glob("*.yaml"))
 
 
+def _is_file(path: Path) -> bool:
+    try:
+        return path.is_file()
+    except (OSError, ValueError):  # a name that no file can have
+        return False
+
+
 def read_printer(name: str, folder: Path) -> dict[str, Any]:
     """A printer's grid by profile name, or by the path of a YAML file (relative to `folder`).
 
@@ -27,7 +34,7 @@ def read_printer(name: str, folder: Path) -> dict[str, Any]:
     own = folder / name
     if name in printer_names():
         content = read_yaml(shipped, "printer profile")[0]
-    elif own.suffix in (".yaml", ".yml") and own.is_file():
+    elif own.suffix in (".yaml", ".yml") and _is_file(own):
         content = read_yaml(own, "printer profile")[0]
     else:
         near = difflib.get_close_matches(name, printer_names(), n=3, cutoff=0.4) or printer_names()

@@ -18,6 +18,7 @@ Flag = Annotated[bool, Field(strict=True)]
 Positive = Annotated[Number, Field(gt=0)]
 
 MAX_SEED = 2**64 - 1
+MIN_PITCH_MM, MAX_PITCH_MM = 1e-4, 1e3  # finer than light, coarser than a part: a mistake
 # Folder names on every file system, and the names of the stack's own entries.
 MATERIAL_NAME = r"^[A-Za-z0-9][A-Za-z0-9 _.+-]{0,63}$"
 RESERVED_NAMES = ("inputs", "manifest.json", "job.yaml")
@@ -54,6 +55,9 @@ class Printer(Model):
             given = [key for key in pair if getattr(self, key) is not None]
             if len(given) != 1:
                 raise ValueError(f"needs exactly one of {pair[0]} and {pair[1]}, but has {len(given)}")
+        for pitch in (*self.pitch_mm, self.layer_height_mm):
+            if not MIN_PITCH_MM <= pitch <= MAX_PITCH_MM:
+                raise ValueError(f"makes a pixel or layer of {pitch:g} mm; between 0.1 µm and 1 m is accepted")
         return self
 
     @property
@@ -172,7 +176,7 @@ class JobFile(Model):
             return value
         named = [{"name": m} if isinstance(m, str) else m for m in value]
         return [
-            {**m, "color": m.get("color") or DEFAULT_COLORS[i % len(DEFAULT_COLORS)]} if isinstance(m, dict) else m
+            {"color": DEFAULT_COLORS[i % len(DEFAULT_COLORS)], **m} if isinstance(m, dict) else m
             for i, m in enumerate(named)
         ]
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+import stat
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +14,19 @@ MAX_DEPTH = 32
 
 KeyPath = tuple[str | int, ...]
 Places = dict[KeyPath, tuple[int, int]]
+
+# The core schema of YAML 1.2 (§10.3.2): what a plain scalar means. Everything else is a word; ruamel.yaml's own
+# resolver also takes dates, binary numbers and underscores.
+INTEGER = re.compile(r"[-+]?[0-9]+|0o[0-7]+|0x[0-9a-fA-F]+")
+FLOAT = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
+SPECIAL: dict[str, Any] = {
+    **dict.fromkeys(("", "~", "null", "Null", "NULL")),
+    **dict.fromkeys(("true", "True", "TRUE"), True),
+    **dict.fromkeys(("false", "False", "FALSE"), False),
+    **dict.fromkeys((".inf", ".Inf", ".INF", "+.inf", "+.Inf", "+.INF"), float("inf")),
+    **dict.fromkeys(("-.inf", "-.Inf", "-.INF"), float("-inf")),
+    **dict.fromkeys((".nan", ".NaN", ".NAN"), float("nan")),
+}
 
 
 def read_yaml(file: Path, what: str) -> tuple[dict[str, Any], Places]:
@@ -25,13 +40,17 @@ def read_yaml(file: Path, what: str) -> tuple[dict[str, Any], Places]:
         JobError: unreadable, not UTF-8, not YAML 1.2, or uses anchors, aliases, tags or several documents.
     """
     try:
-        content = file.read_bytes()
-    except OSError as error:
-        raise JobError(f"the {what} '{file}' cannot be read: {error.strerror or error}") from error
+        if not stat.S_ISREG(file.stat().st_mode):
+            raise JobError(f"the {what} '{file}' is not a regular file")
+        with file.open("rb") as stream:
+            content = stream.read(MAX_BYTES + 1)
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise JobError(f"the {what} '{file}' cannot be read: {reason}") from error
     if len(content) > MAX_BYTES:
-        raise JobError(f"the {what} '{file}' has {len(content)} bytes; at most {MAX_BYTES} are read")
+        raise JobError(f"the {what} '{file}' is too long: at most {MAX_BYTES} are read (1 MiB)")
     try:
-        text = content.decode("utf-8")
+        text = content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise JobError(f"the {what} '{file}' is not UTF-8 (byte {error.start})") from error
     return parse_yaml(text, f"{what} '{file}'")
@@ -42,9 +61,10 @@ def parse_yaml(text: str, where: str) -> tuple[dict[str, Any], Places]:
     from ruamel.yaml import YAML
     from ruamel.yaml.error import MarkedYAMLError, YAMLError
 
+    places: Places = {}
     try:
         _refuse_indirection(text, where)
-        tree = YAML(typ="rt", pure=True).load(text)
+        root = YAML(typ="rt", pure=True).compose(text)
     except MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         at = f", line {mark.line + 1}, column {mark.column + 1}" if mark else ""
@@ -52,57 +72,87 @@ def parse_yaml(text: str, where: str) -> tuple[dict[str, Any], Places]:
         raise JobError(f"{where}{at}: {problem}", hint="`amslicer init` writes an example") from error
     except (YAMLError, ValueError) as error:
         raise JobError(f"{where}: not YAML: {str(error).splitlines()[0]}") from error
-    if tree is None:
-        tree = {}
+    tree = None if root is None else _plain(root, (), places, where)
+    tree = {} if tree is None else tree
     if not isinstance(tree, dict):
         raise JobError(f"{where}: must be a mapping of keys, but is a {type(tree).__name__}")
-    places: Places = {}
-    plain = _plain(tree, (), places, where)
-    return plain, places
+    return tree, places
 
 
 def parse_value(text: str, where: str) -> Any:
     """One YAML value, as after `--set KEY=`."""
-    return parse_yaml(f"value: {text}\n", where)[0]["value"]
+    tree = parse_yaml(f"value: {text}\n", where)[0]
+    if set(tree) != {"value"}:
+        raise JobError(f"{where}: must be one value, but is {text!r}")
+    return tree["value"]
 
 
 def _refuse_indirection(text: str, where: str) -> None:
+    """Looks at the tokens only, and stops at the first that is not accepted."""
     from ruamel.yaml import YAML
     from ruamel.yaml import tokens as t
 
     refused = {
-        t.AnchorToken: "anchors (&name)",
-        t.AliasToken: "aliases (*name)",
-        t.TagToken: "tags (!name)",
-        t.DirectiveToken: "directives (%NAME)",
+        t.AnchorToken: "anchors (&name) are",
+        t.AliasToken: "aliases (*name) are",
+        t.TagToken: "tags (!name) are",
+        t.DirectiveToken: "directives (%NAME) are",
     }
-    documents = 0
+    opening = (t.BlockMappingStartToken, t.BlockSequenceStartToken, t.FlowMappingStartToken, t.FlowSequenceStartToken)
+    closing = (t.BlockEndToken, t.FlowMappingEndToken, t.FlowSequenceEndToken)
+    documents = depth = 0
     for token in YAML(typ="rt", pure=True).scan(text):
         documents += isinstance(token, t.DocumentStartToken)
-        name = refused.get(type(token)) or ("several documents" if documents > 1 else None)
+        depth += isinstance(token, opening) - isinstance(token, closing)
+        if depth > MAX_DEPTH + 1:
+            raise _too_deep(where)
+        name = refused.get(type(token)) or ("several documents are" if documents > 1 else None)
         if name:
             mark = token.start_mark
-            raise JobError(f"{where}, line {mark.line + 1}, column {mark.column + 1}: {name} are not accepted")
+            raise JobError(f"{where}, line {mark.line + 1}, column {mark.column + 1}: {name} not accepted")
 
 
 def _plain(node: Any, path: KeyPath, places: Places, where: str) -> Any:
+    from ruamel.yaml.nodes import MappingNode, SequenceNode
+
     if len(path) > MAX_DEPTH:
-        raise JobError(f"{where}: nested deeper than {MAX_DEPTH} levels")
-    if isinstance(node, dict):
-        for key in node:
+        raise _too_deep(where)
+    if isinstance(node, MappingNode):
+        tree: dict[str, Any] = {}
+        for key_node, value in node.value:
+            line, column = key_node.start_mark.line + 1, key_node.start_mark.column + 1
+            at = f"{where}, line {line}, column {column}"
+            key = _plain(key_node, (), {}, where)
             if not isinstance(key, str):
-                raise JobError(f"{where}: the key {key!r} is not a word", hint=f'quote it: "{key}"')
-            line, column = node.lc.key(key) if hasattr(node, "lc") else (0, 0)
-            places[(*path, key)] = (line + 1, column + 1)
-        return {str(key): _plain(value, (*path, str(key)), places, where) for key, value in node.items()}
-    if isinstance(node, list):
-        for index in range(len(node)):
-            line, column = node.lc.item(index) if hasattr(node, "lc") else (0, 0)
-            places[(*path, index)] = (line + 1, column + 1)
-        return [_plain(value, (*path, index), places, where) for index, value in enumerate(node)]
-    for kind in (bool, int, float, str):
-        if isinstance(node, kind):
-            return kind(node)
-    if node is None:
-        return None
-    raise JobError(f"{where}: the value {node!r} of '{'.'.join(map(str, path))}' is not a number, word or list")
+                raise JobError(f"{at}: the key {key!r} is not a word", hint=f'quote it: "{key}"')
+            if key == "<<":
+                raise JobError(f"{at}: merge keys (<<) are not accepted")
+            if key in tree:
+                first = places[(*path, key)]
+                raise JobError(f"{at}: duplicate key '{key}' (first in line {first[0]}, column {first[1]})")
+            places[(*path, key)] = (line, column)
+            tree[key] = _plain(value, (*path, key), places, where)
+        return tree
+    if isinstance(node, SequenceNode):
+        for index, value in enumerate(node.value):
+            places[(*path, index)] = (value.start_mark.line + 1, value.start_mark.column + 1)
+        return [_plain(value, (*path, index), places, where) for index, value in enumerate(node.value)]
+    try:
+        return _scalar(node)
+    except ValueError as error:  # a number of thousands of digits
+        raise JobError(f"{where}: not YAML: {error}") from None
+
+
+def _scalar(node: Any) -> Any:
+    text = str(node.value)
+    if node.style:  # quoted, or a block of text
+        return text
+    if text in SPECIAL:
+        return SPECIAL[text]
+    if INTEGER.fullmatch(text):
+        return int(text, 0) if text[:2] in ("0o", "0x") else int(text)
+    return float(text) if FLOAT.fullmatch(text) else text
+
+
+def _too_deep(where: str) -> JobError:
+    return JobError(f"{where}: nested deeper than {MAX_DEPTH} levels")

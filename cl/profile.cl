@@ -21,7 +21,7 @@ kernel void profile(global uchar *restrict labels, global const float *restrict 
     const uint tile_index = (uint)get_global_id(1);
     const uint layer = (uint)get_global_id(2);
     const int2 tile = tiles[tile_index];
-    const size_t slot = (size_t)(layer % field_layers) * field_tiles + slots[tile_index];
+    const size_t slot = (size_t)((first + layer) % field_layers) * field_tiles + slots[tile_index];
     global const float *g = field + (slot * TILE + row) * 2 * TILE;
     const size_t in_plane = ((size_t)tile.y * TILE + row) * padded.x + (size_t)tile.x * TILE;
     const size_t here = (size_t)(first + layer) * padded.x * padded.y + in_plane;

@@ -6,7 +6,7 @@
 #define VECTORS (TILE / VECTOR)
 #define UNROLL __attribute__((opencl_unroll_hint(ROWS)))
 
-// field: [layer][tile][row][2][TILE], real parts before imaginary parts; tiles: (column, row) of each tile;
+// field, of the tiles from first_tile on: [layer][tile][row][2][TILE], real parts before imaginary parts; tiles: (column, row) of each tile;
 // entries[starts[t] .. starts[t + 1]): its kernels in order; along_z: [layer][kernel] complex, random phase
 // included.
 __attribute__((reqd_work_group_size(1, 1, 1)))
@@ -15,11 +15,11 @@ kernel void rank1(global float *restrict field, global const int2 *restrict tile
                   global const float *restrict table_x, global const float *restrict table_y,
                   global const Axis *restrict axes_x, global const Axis *restrict axes_y,
                   global const float2 *restrict along_z, const uint kernel_count,
-                  const uint slots)
+                  const uint slots, const uint first_tile)
 {
     // Layers first: a tile's tables stay in the cache while its layers are made.
     const uint layer = (uint)get_global_id(0);
-    const uint tile_index = (uint)get_global_id(1);
+    const uint tile_index = first_tile + (uint)get_global_id(1);
     const int2 tile = tiles[tile_index];
 
     floatV sum[TILE][2][VECTORS];             // the tile's G so far
@@ -74,7 +74,7 @@ kernel void rank1(global float *restrict field, global const int2 *restrict tile
             }
     }
 
-    global floatV *out = (global floatV *)(field + ((size_t)layer * get_global_size(1) + tile_index) * TILE * TILE * 2);
+    global floatV *out = (global floatV *)(field + ((size_t)layer * get_global_size(1) + get_global_id(1)) * TILE * TILE * 2);
     for (int r = 0; r < TILE; ++r)
         for (int part = 0; part < 2; ++part)
             for (int v = 0; v < VECTORS; ++v) out[(r * 2 + part) * VECTORS + v] = sum[r][part][v];

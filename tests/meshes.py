@@ -162,9 +162,7 @@ GENERATED: list[tuple[str, Callable[[], Solid]]] = [
 
 def binary_stl(solid: Solid, header: bytes = b"") -> bytes:
     vertices, triangles = solid
-    record = np.zeros(
-        len(triangles), dtype=[("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("tag", "<u2")]
-    )
+    record = np.zeros(len(triangles), dtype=[("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("tag", "<u2")])
     with np.errstate(over="ignore"):
         record["corners"] = vertices[triangles]
     return header.ljust(80, b" ") + len(triangles).to_bytes(4, "little") + record.tobytes()

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -29,6 +30,12 @@ SIZES = [1, 2, 13, 63, 65, 127, 257]  # one, primes, and either side of powers o
 FILES = sorted(resource_folder("cl").glob("*.cl"))
 # Tile sides and vector widths that work together; the first is what most jobs on most CPUs use.
 SHAPES = [(32, 8), (32, 16), (16, 8), (16, 16), (8, 8)]
+
+
+def zeroed(device: Device, nbytes: int) -> Any:
+    buffer = device.empty(nbytes)
+    device.fill_zeros(buffer, nbytes)
+    return buffer
 
 
 @pytest.fixture(scope="module")
@@ -166,7 +173,7 @@ def test_fill(device: Device, columns: int, rows: int, layers: int) -> None:
     runs = np.sort(random.integers(0, columns + 1, (int(starts[-1]), 2)), axis=1).astype(np.int32)
     runs[: len(runs) // 5] = (0, columns)
     got = np.empty((layers, padded_rows, padded_columns), np.uint8)
-    solid = device.zeros(got.nbytes)
+    solid = zeroed(device, got.nbytes)
     device.run(
         device.kernel("fill"), layers * rows, solid, device.buffer(starts), device.buffer(runs),
         np.uint32(padded_columns), np.uint32(rows), np.uint32(padded_rows), np.uint32(layers * rows),
@@ -196,7 +203,7 @@ def device_labels(
     field = np.stack([cut.real, cut.imag], axis=-2)
     thresholds = np.broadcast_to(symmetric_thresholds(cumulative), (len(cumulative), rows, columns))
     labels = np.zeros(g.shape, np.uint8)
-    out = device.zeros(labels.nbytes)
+    out = zeroed(device, labels.nbytes)
     device.kernel("profile", constants(device, shape))(
         device.queue, (tile, len(tiles), layers), (tile, 1, 1), out, device.buffer(field), device.buffer(solid),
         device.buffer(thresholds), device.buffer(tiles), device.buffer(slots), np.uint32(len(cumulative)),

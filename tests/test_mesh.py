@@ -113,9 +113,7 @@ def test_units_scale_coordinates(tmp_path: Path, units: str | None, factor: floa
         ((9e3, 9e3, 9e3), None, ["9000 mm", "--scale"]),
     ],
 )
-def test_notes_an_unlikely_unit(
-    tmp_path: Path, size: meshes.Point, units: str | None, said: list[str]
-) -> None:
+def test_notes_an_unlikely_unit(tmp_path: Path, size: meshes.Point, units: str | None, said: list[str]) -> None:
     (note,) = read_mesh(put(tmp_path, "part.ply", meshes.ply(meshes.box(size))), units).notes
     assert [word for word in said if word not in note] == []
 
@@ -219,8 +217,7 @@ def package(resources: str, items: str = ITEM, **options: str) -> bytes:
 def tens(levels: int) -> bytes:
     """Components of ten components each: 10**levels boxes from a few kB."""
     objects = (
-        meshes.model_components(level + 1, [f'<component objectid="{level}"/>'] * 10)
-        for level in range(1, levels + 1)
+        meshes.model_components(level + 1, [f'<component objectid="{level}"/>'] * 10) for level in range(1, levels + 1)
     )
     return package("".join(objects), f'<item objectid="{levels + 1}"/>')
 

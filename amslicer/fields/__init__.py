@@ -33,7 +33,8 @@ def source_name(value: Any) -> str | None:
     if isinstance(value, int | float) and not isinstance(value, bool):
         return "constant"
     if isinstance(value, dict):
-        return next((key for key in value if key in SOURCES), None)
+        named = [key for key in value if key in SOURCES]
+        return named[0] if len(named) == 1 else None
     return None
 
 

@@ -27,7 +27,7 @@ AXES = ("x", "y", "z")
 class GradientParameters(BaseModel):
     """Axis, values at both ends, and where the ends are (default: the part's bounding box)."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, populate_by_name=True)
+    model_config = ConfigDict(extra="forbid", frozen=True)
 
     axis: Literal["x", "y", "z"] = Field(description="axis of the part's file")
     from_: Number = Field(alias="from", description="value at the start")

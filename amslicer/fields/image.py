@@ -9,8 +9,6 @@ outside.
 
 from __future__ import annotations
 
-import io
-import warnings
 from collections.abc import Hashable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
@@ -18,19 +16,13 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from pydantic import Field, field_validator
 
-from amslicer.errors import JobError
+from amslicer.fields.pictures import read_grey
 from amslicer.fields.source import Frame, Inputs, Number, Sampler, Source, blend
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     Floats = NDArray[np.float64]
-
-FORMATS = ("PNG", "TIFF")
-# Full scale of the grey modes that Pillow keeps without loss.
-FULL_SCALE = {"1": 1, "L": 255, "I;16": 65535, "I;16L": 65535, "I;16B": 65535}
-MAX_TEXELS = 100_000_000  # larger pictures are refused on their declared size, before decoding
-CONVERT_HINT = "convert it to a grey picture, for example: magick IN.png -colorspace Gray -alpha off -depth 16 OUT.png"
 
 
 class ImageSource(Source):
@@ -115,36 +107,3 @@ class ImageSampler:
         along = np.clip(along, 0.0, count - 1.0)
         below = np.minimum(along.astype(np.int64), max(count - 2, 0))
         return below, np.minimum(below + 1, count - 1), along - below
-
-
-def read_grey(content: bytes, name: str) -> tuple[NDArray[np.uint16], int]:
-    """Decodes an 8 or 16-bit grey picture: (texels, top row first; full scale).
-
-    Raises:
-        JobError: not a readable grey PNG or TIFF, truncated, or too large.
-    """
-    from PIL import Image
-
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", Image.DecompressionBombWarning)
-            picture = Image.open(io.BytesIO(content), formats=FORMATS)
-        width, height = picture.size
-        if width * height > MAX_TEXELS:
-            raise JobError(
-                f"the picture '{name}' has {width} × {height} pixels; at most {MAX_TEXELS // 10**6} million are read",
-                hint="make it smaller: fields are interpolated between pixels",
-            )
-        if picture.mode not in FULL_SCALE:
-            raise JobError(f"the picture '{name}' is not grey (mode {picture.mode})", hint=CONVERT_HINT)
-        frames = getattr(picture, "n_frames", 1)
-        if frames != 1:
-            raise JobError(f"the picture '{name}' has {frames} frames; one is needed", hint=CONVERT_HINT)
-        picture.load()
-        return np.asarray(picture).astype(np.uint16), FULL_SCALE[picture.mode]
-    except JobError:
-        raise
-    except Exception as error:  # Pillow raises many kinds for damaged files
-        raise JobError(
-            f"the picture '{name}' cannot be read as {' or '.join(FORMATS)}: {error}", hint=CONVERT_HINT
-        ) from error

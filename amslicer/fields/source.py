@@ -80,20 +80,21 @@ class Inputs:
             JobError: missing, outside the folder, or not a regular file.
         """
         if name not in self.files:
-            path = (self.folder / name).resolve()
-            if not path.is_relative_to(self.folder.resolve()):
-                raise JobError(
-                    f"the field file '{name}' lies outside the job file's folder ({self.folder})",
-                    hint="put field files beside the job file or in a folder below it",
-                )
             try:
+                path = (self.folder / name).resolve()
+                if not path.is_relative_to(self.folder.resolve()):
+                    raise JobError(
+                        f"the field file '{name}' lies outside the job file's folder ({self.folder})",
+                        hint="put field files beside the job file or in a folder below it",
+                    )
                 if not stat.S_ISREG(path.stat().st_mode):
                     raise JobError(f"the field file '{name}' is not a regular file ({path})")
                 self.files[name] = path.read_bytes()
-            except OSError as error:
+            except (OSError, ValueError, RuntimeError) as error:  # also a zero byte, and a link to itself
+                reason = getattr(error, "strerror", None) or error
                 raise JobError(
-                    f"the field file '{name}' cannot be read: {error.strerror or error} ({path})",
-                    hint="paths are relative to the job file",
+                    f"the field file {name!r} cannot be read: {reason}",
+                    hint=f"paths are relative to the job file's folder ({self.folder})",
                 ) from error
         return self.files[name]
 
