@@ -41,11 +41,13 @@ class Evaluator:
         tile_normals: (T, 3) their reference normals.
         grid, tiling: pixels and layers, and the tiles that they make.
         planar: 2D: the kernels do not know z.
+        needed: (T, layers) uint8, a bit for each ROWS rows of a tile that are wanted in each layer that will be
+            asked for; G elsewhere is left as it was. None means all of them.
     """
 
     def __init__(
         self, device: Device, kernels: Kernels, tiles: NDArray[np.int32], tile_normals: Floats,
-        grid: Grid, tiling: Tiling, *, planar: bool,
+        grid: Grid, tiling: Tiling, *, planar: bool, needed: NDArray[np.uint8] | None = None,
     ) -> None:  # fmt: skip
         self.device = device
         self.kernels = kernels
@@ -60,9 +62,11 @@ class Evaluator:
         shape = np.stack([kernels.decay, kernels.radius_mm], axis=-1).astype(np.float32)
         self._shape = device.buffer(shape)
         self._axes = [device.buffer(self._axis(a)) for a in (0, 1)]
+        self._needed = needed
         self._lists = [device.buffer(a) for a in (self.lists.tiles, self.lists.starts, self.lists.entries)]
         self._tables: list[Any] | None = None
         self._along: tuple[tuple[int, int], Any] | None = None
+        self._wanted: tuple[int, Any] | None = None
 
     @property
     def floats_per_layer(self) -> int:
@@ -87,10 +91,11 @@ class Evaluator:
         if self._tables is None:
             self._tables = [self._table(a) for a in (0, 1)]
         if len(some):
+            tiles, starts, entries = self._lists
             self.device.kernel("rank1", self._work_shape)(
-                self.device.queue, (count, len(some)), (1, 1), out, *self._lists, *self._tables, *self._axes,
-                self._along_z(first, count), np.uint32(len(self.kernels)), np.uint32(self._slots),
-                np.uint32(some.start),
+                self.device.queue, (count, len(some)), (1, 1), out, tiles, self._needed_rows(count), starts, entries,
+                *self._tables, *self._axes, self._along_z(first, count), np.uint32(len(self.kernels)),
+                np.uint32(self._slots), np.uint32(some.start),
             )  # fmt: skip
         return out, np.arange(len(some), dtype=np.uint32)
 
@@ -105,6 +110,14 @@ class Evaluator:
                 np.float32(self.grid.pitch_mm[0]), np.float32(self.grid.pitch_mm[1]),
             )  # fmt: skip
         return out, np.arange(tiles, dtype=np.uint32)
+
+    def _needed_rows(self, count: int) -> Any:
+        if self._wanted is None or self._wanted[0] != count:
+            shape = (len(self.lists.tiles), count)
+            needed = np.full(shape, 0xFF, np.uint8) if self._needed is None else self._needed
+            assert needed.shape == shape
+            self._wanted = (count, self.device.buffer(needed))
+        return self._wanted[1]
 
     def _axis(self, axis: int) -> NDArray[Any]:
         out = np.empty(len(self.kernels), AXIS)

@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from amslicer.errors import JobError
-from amslicer.evaluator import Evaluator, work_shape
+from amslicer.evaluator import ROWS, Evaluator, work_shape
 from amslicer.fields import Frame, Sampler, open_field
 from amslicer.fields.orientation import Orientation
 from amslicer.noise import NOISES
 from amslicer.noise.kernels import Kernels, join_kernels
 from amslicer.profile import PROFILES
 from amslicer.specification import AzimuthElevation
-from amslicer.tiles import Tiling, active_tiles, all_tiles, tiles_over
+from amslicer.tiles import Tiling, all_tiles, needed_tiles, tiles_over
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -163,9 +163,9 @@ class Pattern:
         """
         rows, columns = self._padded
         labels = np.zeros((runs.layers, rows, columns), np.uint8)
-        tiles = active_tiles(runs, self.tiling.pixels)
+        tiles, needed = needed_tiles(runs, self.tiling.pixels, ROWS)
         if len(tiles):
-            self._label_tiles(labels, runs, tiles, first)
+            self._label_tiles(labels, runs, tiles, needed, first)
         return labels[:, : self.grid.rows, : self.grid.columns]
 
     def asked(self, runs: Runs, first: int) -> list[float]:
@@ -216,13 +216,15 @@ class Pattern:
         columns, rows = (-(-(n + grid.margin_px) // tile) for n in (grid.columns, grid.rows))
         return (-before, -before), (columns, rows)
 
-    def _label_tiles(self, labels: NDArray[np.uint8], runs: Runs, tiles: NDArray[np.int32], first: int) -> None:
+    def _label_tiles(
+        self, labels: NDArray[np.uint8], runs: Runs, tiles: NDArray[np.int32], needed: NDArray[np.uint8], first: int
+    ) -> None:
         """Writes the labels of the listed tiles into (layers, padded rows, padded columns)."""
         device, tile = self.device, self.tiling.pixels
         solid, out = self._solid(runs), device.scratch("labels", labels.nbytes)
         device.fill_zeros(out, labels.nbytes)
         planar = self._planar_g() if self.planar else None
-        evaluator = None if planar else self._evaluator(first, runs.layers, tiles)
+        evaluator = None if planar else self._evaluator(first, runs.layers, tiles, needed)
         # Few enough tiles at a time for their G to stay in the cache between the noise and the profile.
         layers = 1 if planar else runs.layers
         at_once = max(1, FIELD_BYTES // (8 * tile * tile * layers))
@@ -269,7 +271,9 @@ class Pattern:
             self._planar_field = PlanarField(buffer, slots)
         return self._planar_field
 
-    def _evaluator(self, first: int, count: int, tiles: NDArray[np.int32]) -> Evaluator:
+    def _evaluator(
+        self, first: int, count: int, tiles: NDArray[np.int32], needed: NDArray[np.uint8] | None = None
+    ) -> Evaluator:
         """An evaluator for some layers (of one layer of tiles) and tiles."""
         grid, side = self.grid, self.tiling.pixels * np.array(self.grid.pitch_mm)
         low, high = tiles.min(axis=0) * side, (tiles.max(axis=0) + 1) * side
@@ -277,7 +281,7 @@ class Pattern:
         block_middle = self.tiling.block_middle_mm(first, grid.layer_mm)
         centres = np.column_stack([(tiles + 0.5) * side, np.full(len(tiles), block_middle)])
         normals = self.painted.normals(centres)
-        return Evaluator(self.device, kernels, tiles, normals, grid, self.tiling, planar=self.planar)
+        return Evaluator(self.device, kernels, tiles, normals, grid, self.tiling, planar=self.planar, needed=needed)
 
     def _kernels(self, low_mm: Floats, high_mm: Floats, low_z_mm: float, high_z_mm: float) -> Kernels:
         """All kernels that reach a rectangle between two heights, in the order of their cells."""

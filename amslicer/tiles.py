@@ -138,14 +138,26 @@ def tile_lists(
     return TileLists(tiles, matrix.indptr.astype(np.uint32), matrix.data.astype(np.uint32))
 
 
-def active_tiles(runs: Runs, tile: int) -> NDArray[np.int32]:
-    """(T, 2) column and row of the tiles with at least one solid pixel in some layer, by rows."""
-    rows, columns = tiles_over(runs.grid, tile)
-    change = np.zeros((rows, columns + 1), np.int64)
-    row = runs.row % runs.grid.rows // tile
-    np.add.at(change, (row, runs.start // tile), 1)
-    np.add.at(change, (row, (runs.stop - 1) // tile + 1), -1)
-    return np.argwhere(np.cumsum(change, axis=1)[:, :-1] > 0)[:, ::-1].astype(np.int32)
+def needed_tiles(runs: Runs, tile: int, rows: int) -> tuple[NDArray[np.int32], NDArray[np.uint8]]:
+    """The tiles with at least one solid pixel, and which of their rows are needed in each layer.
+
+    Args:
+        tile: side of a tile in pixels, at most 8 × rows.
+        rows: pixel rows that one bit stands for.
+
+    Returns:
+        (T, 2) column and row of the tiles, by rows; (T, layers) bits, the lowest for a tile's first rows.
+    """
+    down, across = tiles_over(runs.grid, tile)
+    groups = tile // rows
+    change = np.zeros((runs.layers, down * groups, across + 1), np.int32)
+    layer, row = np.divmod(runs.row, runs.grid.rows)
+    np.add.at(change, (layer, row // rows, runs.start // tile), 1)
+    np.add.at(change, (layer, row // rows, (runs.stop - 1) // tile + 1), -1)
+    solid = (np.cumsum(change, axis=2)[:, :, :-1] > 0).reshape(runs.layers, down, groups, across)
+    bits = (solid << np.arange(groups, dtype=np.uint8)[:, None]).sum(axis=2, dtype=np.uint8)
+    tiles = np.argwhere(bits.any(axis=0))
+    return tiles[:, ::-1].astype(np.int32), np.ascontiguousarray(bits[:, tiles[:, 0], tiles[:, 1]].T)
 
 
 def all_tiles(first: tuple[int, int], end: tuple[int, int]) -> NDArray[np.int32]:

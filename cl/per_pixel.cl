@@ -30,7 +30,7 @@ kernel void per_pixel(global float *restrict field, global const int2 *restrict 
         const float angle = axes_x[j].wave * dx + axes_y[j].wave * dy;
         const float2 wave = envelope * (float2)(cos(angle), sin(angle));
         sum.x += z.x * wave.x - z.y * wave.y;
-        sum.y += SIGN_OF(entries[e]) * (z.x * wave.y + z.y * wave.x);
+        sum.y += (IS_OPPOSITE(entries[e]) ? -1.0f : 1.0f) * (z.x * wave.y + z.y * wave.x);
     }
     global float *out = field + (((size_t)layer * tile_count + tile_index) * TILE + row) * 2 * TILE + column;
     out[0] = sum.x;

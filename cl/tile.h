@@ -23,6 +23,6 @@ typedef struct {
 // An entry of a tile's list: which kernel, and whether it is taken with the opposite sign (0x80000000) to
 // agree with the tile's own direction.
 #define KERNEL_OF(entry) ((entry) & 0x7FFFFFFFu)
-#define SIGN_OF(entry) (((entry) & 0x80000000u) ? -1.0f : 1.0f)
+#define IS_OPPOSITE(entry) (((entry) & 0x80000000u) != 0)
 
 #endif

@@ -57,7 +57,8 @@ def test_the_script_makes_these_files_and_no_others(made: Path) -> None:
     def names(folder: Path) -> set[str]:
         return {str(f.relative_to(folder)) for part in PARTS for f in (folder / part).rglob("*")}
 
-    assert names(made) == names(SAMPLES)
+    pictures = {f"{part}/laminate.png" for part in PARTS}  # made by make_pictures.py, with amslicer itself
+    assert names(made) == names(SAMPLES) - pictures
     assert sorted(f.name for f in made.iterdir()) == sorted(PARTS)
 
 
