@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import os
 import threading
-import time
 from pathlib import Path
 from typing import Any
 
@@ -217,12 +216,10 @@ def test_deeper_nesting_is_refused(text: str) -> None:
         parse_yaml(text, "test")
 
 
-def test_deep_nesting_is_refused_at_once() -> None:
-    """Scanning a thousand brackets takes a second, ten thousand a quarter of an hour: the depth is counted first."""
-    started = time.perf_counter()
-    with pytest.raises(JobError):
-        parse_yaml("a: " + "[" * 2500, "test")
-    assert time.perf_counter() - started < 2
+def test_deep_nesting_is_refused_before_it_is_scanned() -> None:
+    """Scanning these brackets to their end would take hours: the depth is counted on the way."""
+    with pytest.raises(JobError, match="nested deeper"):
+        parse_yaml("a: " + "[" * 300_000, "test")
 
 
 def test_reads_a_file(tmp_path: Path) -> None:
