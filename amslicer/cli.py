@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import argparse
+import logging
 import os
 import signal
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType
 from typing import NoReturn
@@ -105,7 +107,25 @@ def _run(words: list[str]) -> int:
     from amslicer import commands
 
     run: Callable[[argparse.Namespace], int] = getattr(commands, command)
-    return run(options)
+    with _spoken(quiet=getattr(options, "quiet", False)):
+        return run(options)
+
+
+@contextmanager
+def _spoken(*, quiet: bool) -> Iterator[None]:
+    """Says on stderr what the library logs, such as that it is compiling."""
+    log, handler = logging.getLogger("amslicer"), _Handler()
+    log.setLevel(logging.WARNING if quiet else logging.INFO)
+    log.addHandler(handler)
+    try:
+        yield
+    finally:
+        log.removeHandler(handler)
+
+
+class _Handler(logging.Handler):
+    def emit(self, record: logging.LogRecord) -> None:
+        _say(record.getMessage())
 
 
 class _Parser(argparse.ArgumentParser):

@@ -20,10 +20,11 @@ DRY_RUN_SAMPLES = 4  # layers made to estimate time and size
 def slice_command(options: Namespace) -> int:
     """amslicer PART --fields FIELDS.yaml"""
     if not Path(options.part).exists():
-        # A forgotten --fields is likelier than a part of that name: say what is there first.
+        from amslicer.meshfiles import READERS
+
         raise PartError(
             f"there is no part '{options.part}'",
-            hint="name a mesh file (stl obj ply off glb 3mf); `amslicer --help` lists the commands",
+            hint=f"name a mesh file ({' '.join(READERS)}); `amslicer --help` lists the commands",
         )
     if options.fields is None:
         raise UsageError(

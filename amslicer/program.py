@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import hashlib
+import logging
 import warnings
 from contextlib import suppress
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +17,7 @@ from amslicer.resources import resource_folder
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+LOG = logging.getLogger("amslicer")
 # No relaxed or native maths: the same job must give the same bytes, and the inner loops need no transcendental.
 OPTIONS = ("-cl-std=CL1.2",)
 
@@ -41,10 +44,16 @@ def build(context: Any, device: Any, name: str, constants: Mapping[str, int]) ->
     if binary is not None:
         with suppress(cl.Error):  # a driver that changed under its version: compile again
             return cl.Program(context, [device], [binary]).build()
+    _say_once(device.name.strip())
     program = _compile(context, device, source, headers, options)
     with suppress(cl.Error, IndexError):
         write_cached(place, program.get_info(cl.program_info.BINARIES)[0])
     return program
+
+
+@cache
+def _say_once(device: str) -> None:
+    LOG.info("compiling the kernels for '%s' (some seconds; kept for the next run)", device)
 
 
 def _cache_name(device: Any, files: list[Path], options: list[str]) -> str:

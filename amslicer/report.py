@@ -42,14 +42,17 @@ def _bar(verb: str, unit: str) -> Iterator[Callable[[int, int], None]]:
 
 
 def _lines(verb: str, unit: str) -> Callable[[int, int], None]:
-    started = last = time.monotonic()
+    first: tuple[float, int] | None = None
+    last = time.monotonic()
 
     def show(done: int, total: int) -> None:
-        nonlocal last
+        nonlocal first, last
         now = time.monotonic()
-        if done < total and now - last >= LINE_SECONDS:
+        if first is None:  # what came before the first call was start-up, not speed
+            first = now, done
+        elif done < total and now - last >= LINE_SECONDS:
             last = now
-            left = (now - started) / done * (total - done)
+            left = (now - first[0]) / (done - first[1]) * (total - done)
             print(f"{verb}: {done} of {total} {unit}, about {left:.0f} s left", file=sys.stderr, flush=True)
 
     return show

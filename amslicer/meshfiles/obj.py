@@ -1,0 +1,45 @@
+"""OBJ: the v and f lines."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+
+from amslicer.errors import PartError
+from amslicer.meshfiles.soup import EXPORT, Soup, expect, joined
+
+_CONTINUATION = re.compile(rb"\\\r?\n")
+_VERTEX = re.compile(rb"^[ \t]*v[ \t]+(\S+[ \t]+\S+[ \t]+\S+)", re.MULTILINE)
+_FACE = re.compile(rb"^[ \t]*f[ \t]+([^\r\n#]*)", re.MULTILINE)
+_TEXTURE_AND_NORMAL = re.compile(rb"/\S*")  # of a corner 1/2/3
+
+
+def read_obj(data: bytes) -> Soup:
+    """All faces of an OBJ file; not by trimesh, which takes index 0 as 1 and -1 as the file's last vertex.
+
+    Raises:
+        PartError: a number cannot be read, a face has fewer than 3 corners or uses a vertex that is not there.
+    """
+    text = _CONTINUATION.sub(b" ", data)
+    points = _VERTEX.findall(text)
+    values = np.fromstring(b" ".join(points).decode(), sep=" ")
+    expect(3 * len(points), len(values), "OBJ coordinates")
+    vertices = values.reshape(-1, 3)
+    lines = [_TEXTURE_AND_NORMAL.sub(b"", line) for line in _FACE.findall(text)]
+    if not lines:
+        return joined([(vertices, [])])
+    sizes = np.array([len(line.split()) for line in lines])
+    if sizes.min() < 3:
+        raise PartError(f"face {int(sizes.argmin())} has {int(sizes.min())} corners", hint=EXPORT)
+    given = np.fromstring(b" ".join(lines).decode(), sep=" ", dtype=np.int64)
+    expect(int(sizes.sum()), len(given), "OBJ indices")
+    if (given == 0).any():
+        raise PartError("a face uses vertex 0, but OBJ counts from 1", hint=EXPORT)
+    if (given < 0).any():  # -1 is the last vertex above the face
+        vertices_at, faces_at = ([match.start() for match in kind.finditer(text)] for kind in (_VERTEX, _FACE))
+        above = np.repeat(np.searchsorted(vertices_at, faces_at), sizes)
+        given = np.where(given < 0, given + above + 1, given)
+    equal = (sizes == sizes[0]).all()
+    faces = (given - 1).reshape(len(sizes), -1) if equal else np.split(given - 1, np.cumsum(sizes)[:-1])
+    return joined([(vertices, faces)])

@@ -1,0 +1,115 @@
+"""Triangles as a file stores them, before anything is known of the solid; and what several readers share."""
+
+from __future__ import annotations
+
+import io
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from amslicer.errors import PartError
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    Floats = NDArray[np.float64]
+    Ints = NDArray[np.int64]
+
+EXPORT = "export the part again, as STL for instance"
+
+
+@dataclass(frozen=True)
+class Soup:
+    """What a file holds, before any check of the solid; in the file's unit."""
+
+    vertices: Floats  # (V, 3)
+    triangles: Ints  # (T, 3)
+    unit_mm: float = 1.0  # length of the file's unit
+    missing: str = ""  # what shapes the part and is not implemented: the triangles may only stand in for it
+
+    def check(self) -> None:
+        """Raises PartError unless there are triangles, each uses vertices that are there, and all are finite."""
+        if not len(self.triangles):
+            raise PartError(
+                "no triangles" + (f", only {len(self.vertices)} points" if len(self.vertices) else ""),
+                hint="export a surface mesh (points, curves and empty scenes have no inside)",
+            )
+        _check_indices(self.triangles, len(self.vertices))
+        bad = np.flatnonzero(~np.isfinite(self.vertices).all(axis=1))
+        if bad.size:
+            first = self.vertices[bad[0]].tolist()
+            raise PartError(f"{bad.size} vertices are NaN or infinite, first vertex {bad[0]}: {first}", hint=EXPORT)
+
+
+def joined(pieces: Iterable[tuple[Any, Any]]) -> Soup:
+    """Pieces of (V, 3) vertices and their faces, which may have any number of corners, as one soup.
+
+    Raises:
+        PartError: a face uses a vertex that its piece does not have.
+    """
+    vertices, triangles, start = [np.zeros((0, 3))], [np.zeros((0, 3), dtype=np.int64)], 0
+    for points, faces in pieces:
+        split = _triangulated(faces)
+        _check_indices(split, len(points))
+        vertices.append(np.asarray(points, dtype=np.float64))
+        triangles.append(split + start)
+        start += len(points)
+    return Soup(np.concatenate(vertices), np.concatenate(triangles))
+
+
+def _triangulated(faces: Any) -> Ints:
+    if isinstance(faces, np.ndarray) and faces.shape[1:] == (3,):
+        return faces.astype(np.int64, copy=False)
+    from trimesh.geometry import triangulate_quads
+
+    return np.asarray(triangulate_quads(faces), dtype=np.int64).reshape(-1, 3)
+
+
+def _check_indices(triangles: Ints, count: int) -> None:
+    bad = (triangles < 0) | (triangles >= count)
+    if bad.any():
+        first = int(np.flatnonzero(bad.any(axis=1))[0])
+        raise PartError(
+            f"{int(bad.sum())} vertex indices are out of range 0..{count - 1}, first "
+            f"{int(triangles[first][bad[first]][0])} in triangle {first}",
+            hint=EXPORT,
+        )
+
+
+def place(vertices: Floats, triangles: Ints, transform: Floats) -> tuple[Floats, Ints]:
+    """A (V, 3), (T, 3) mesh moved by a 4 x 3 transform, its triangles still facing outward if it mirrors.
+
+    The transform's rows are the images of x, y, z, then the translation: a point is a row vector.
+    """
+    determinant = float(np.linalg.det(transform[:3]))
+    mirrors = math.isfinite(determinant) and determinant < 0
+    return _moved(vertices, transform), triangles[:, ::-1] if mirrors else triangles
+
+
+def _moved(vertices: Floats, transform: Floats) -> Floats:
+    """Rows times the transform; written out, as BLAS may round differently from machine to machine."""
+    if np.array_equal(transform[:3], np.eye(3)):
+        return np.asarray(vertices + transform[3], dtype=np.float64)
+    x, y, z = vertices[:, 0:1], vertices[:, 1:2], vertices[:, 2:3]
+    moved = ((x * transform[0] + y * transform[1]) + z * transform[2]) + transform[3]
+    return np.asarray(moved, dtype=np.float64)
+
+
+def expect(declared: int, found: int, what: str) -> None:
+    """Raises PartError unless a file holds as many of something as it declares."""
+    if declared != found:
+        raise PartError(
+            f"{declared} {what} declared, {found} found",
+            hint="the file is damaged or cut short: copy or export it again",
+        )
+
+
+def load_raw(data: bytes, suffix: str) -> dict[str, Any]:
+    """What trimesh's reader of a format finds; its own mesh class may merge vertices and drop faces."""
+    from trimesh.exchange.load import mesh_loaders
+
+    reader: Any = mesh_loaders[suffix]
+    return dict(reader(file_obj=io.BytesIO(data), file_type=suffix, skip_materials=True))
