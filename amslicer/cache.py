@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 from contextlib import suppress
 from pathlib import Path
+
+DIGEST_BYTES = hashlib.sha256().digest_size
 
 
 def cache_folder() -> Path:
@@ -19,9 +22,12 @@ def cache_folder() -> Path:
 def read_cached(name: str) -> bytes | None:
     """What was kept under this name, or None."""
     try:
-        return (cache_folder() / name).read_bytes()
+        kept = (cache_folder() / name).read_bytes()
     except OSError:
         return None
+    # A torn or altered file could end the process that hands it to a driver.
+    digest, content = kept[:DIGEST_BYTES], kept[DIGEST_BYTES:]
+    return content if hashlib.sha256(content).digest() == digest else None
 
 
 def write_cached(name: str, content: bytes) -> None:
@@ -30,5 +36,5 @@ def write_cached(name: str, content: bytes) -> None:
     with suppress(OSError):
         file.parent.mkdir(parents=True, exist_ok=True)
         temporary = file.with_name(f"{file.name}.{os.getpid()}.tmp")
-        temporary.write_bytes(content)
+        temporary.write_bytes(hashlib.sha256(content).digest() + content)
         temporary.replace(file)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import difflib
 import logging
 import os
 import signal
@@ -11,7 +12,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from amslicer import __version__
 from amslicer.errors import (
@@ -19,6 +20,7 @@ from amslicer.errors import (
     EXIT_TERMINATED,
     EXIT_UNEXPECTED,
     AmslicerError,
+    StorageError,
     UsageError,
 )
 
@@ -38,17 +40,52 @@ exit codes: 0 done, 1 unexpected, 2 usage, 3 job, fields or printer, 4 part, 5 O
 PLANNED = ("info", "convert", "check", "batch", "gallery", "schema")
 
 
-class Terminated(BaseException):
-    """SIGTERM arrived."""
+class Stopped(BaseException):
+    """SIGINT or SIGTERM arrived."""
+
+    def __init__(self, number: int) -> None:
+        super().__init__(number)
+        self.code = EXIT_INTERRUPTED if number == signal.SIGINT else EXIT_TERMINATED
+
+
+class Signals:
+    """Stops the run on SIGINT and SIGTERM: at once, and again at the next check if a library swallowed it."""
+
+    def __init__(self) -> None:
+        self._arrived: int | None = None
+        self._before: dict[int, Any] = {}
+
+    def __enter__(self) -> Signals:
+        for number in (signal.SIGINT, signal.SIGTERM):
+            self._before[number] = signal.signal(number, self._stop)
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
+
+    def check(self) -> None:
+        """Stops if a signal has arrived."""
+        if self._arrived is not None:
+            raise Stopped(self._arrived)
+
+    def _stop(self, number: int, frame: FrameType | None) -> NoReturn:
+        self._arrived = number
+        raise Stopped(number)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs one command and returns its exit code; errors become one `error:` line and a `hint:`."""
     words = list(sys.argv[1:] if arguments is None else arguments)
     debug = "--debug" in words
-    previous = signal.signal(signal.SIGTERM, _terminate)
+    signals = Signals()
     try:
-        return _run(words)
+        with signals:
+            try:
+                return _run(words, signals)
+            except Exception:
+                signals.check()  # whatever went wrong may only be how a library took the signal
+                raise
     except AmslicerError as error:
         if debug:
             raise
@@ -56,28 +93,27 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if error.hint:
             _say(f"hint: {error.hint}")
         return error.exit_code
-    except KeyboardInterrupt:
-        _say("error: interrupted; the stack is not finished")
-        _say("hint: run the same command again with --overwrite")
-        return EXIT_INTERRUPTED
-    except Terminated:
-        _say("error: terminated; the stack is not finished")
-        _say("hint: run the same command again with --overwrite")
-        return EXIT_TERMINATED
-    except BrokenPipeError:  # whoever read our output has seen enough
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 0
+    except Stopped as stopped:
+        writing = words and words[0] not in COMMANDS
+        _say(
+            f"error: {'interrupted' if stopped.code == EXIT_INTERRUPTED else 'terminated'}"
+            + ("; the stack is not finished" if writing else "")
+        )
+        if writing:
+            _say("hint: run the same command again with --overwrite")
+        return stopped.code
+    except OSError as error:  # files of ours raise StorageError: this is the terminal's end, or the pipe's
+        _say(f"error: the output cannot be written: {error.strerror or error}")
+        return StorageError.exit_code
     except Exception as error:
         if debug:
             raise
         _say(f"error: unexpected {type(error).__name__}: {error}")
         _say("hint: this is a fault of amslicer; run again with --debug and report what it prints")
         return EXIT_UNEXPECTED
-    finally:
-        signal.signal(signal.SIGTERM, previous)
 
 
-def _run(words: list[str]) -> int:
+def _run(words: list[str], signals: Signals) -> int:
     if not words or words[0] in ("-h", "--help"):
         print(f"amslicer {__version__}: graded multi-material laminates, as per-material bitmaps\n\n{USAGE}\n{EPILOG}")
         return 0
@@ -90,6 +126,9 @@ def _run(words: list[str]) -> int:
     if name in COMMANDS:
         words = words[1:]
     else:
+        near = difflib.get_close_matches(name, [*COMMANDS, *PLANNED], n=1)
+        if near and not Path(name).exists():
+            raise UsageError(f"there is no command and no part '{name}'", hint=f"did you mean amslicer {near[0]}?")
         name = "slice"
     add_options, command = COMMANDS[name]
     usage = "amslicer PART --fields FIELDS.yaml [-o OUT] [options]" if name == "slice" else None
@@ -102,13 +141,13 @@ def _run(words: list[str]) -> int:
     options = parser.parse_args(words)
     if getattr(options, "jobs", None) is not None:
         # Before NumPy is imported: its linear algebra threads are bounded too.
-        os.environ.setdefault("OPENBLAS_NUM_THREADS", str(options.jobs))
-        os.environ.setdefault("OMP_NUM_THREADS", str(options.jobs))
+        os.environ["OPENBLAS_NUM_THREADS"] = os.environ["OMP_NUM_THREADS"] = str(options.jobs)
     from amslicer import commands
 
-    run: Callable[[argparse.Namespace], int] = getattr(commands, command)
+    signals.check()
+    run: Callable[[argparse.Namespace, Callable[[], None]], int] = getattr(commands, command)
     with _spoken(quiet=getattr(options, "quiet", False)):
-        return run(options)
+        return run(options, signals.check)
 
 
 @contextmanager
@@ -175,7 +214,8 @@ def _preview_options(parser: argparse.ArgumentParser) -> None:
     """Makes a picture of a stack: a contact sheet, or one layer at full size, in true aspect."""
     parser.add_argument("out", metavar="OUT", help="folder of the stack")
     parser.add_argument("--layer", type=int, metavar="N", help="this layer alone, every pixel of it")
-    parser.add_argument("-o", "--output", metavar="FILE", help="picture file; default: OUT-preview.png beside OUT")
+    parser.add_argument("-o", "--output", metavar="FILE", help="PNG file; default: OUT-preview.png beside OUT")
+    parser.add_argument("--quiet", action="store_true", help="do not print the picture's path")
 
 
 def _devices_options(parser: argparse.ArgumentParser) -> None:
@@ -224,10 +264,6 @@ def _positive(text: str) -> int:
     if not text.isdecimal() or int(text) < 1:
         raise argparse.ArgumentTypeError(f"must be a whole number from 1, but is '{text}'")
     return int(text)
-
-
-def _terminate(signum: int, frame: FrameType | None) -> NoReturn:
-    raise Terminated
 
 
 def _say(text: str) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import sys
 from argparse import Namespace
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,12 +13,12 @@ from amslicer.errors import CheckFailed, DeviceError, JobError, PartError, Usage
 
 if TYPE_CHECKING:
     from amslicer.job import Job
-    from amslicer.pipeline import Run
+    from amslicer.pipeline import Progress, Run
 
 DRY_RUN_SAMPLES = 4  # layers made to estimate time and size
 
 
-def slice_command(options: Namespace) -> int:
+def slice_command(options: Namespace, check: Callable[[], None]) -> int:
     """amslicer PART --fields FIELDS.yaml"""
     if not Path(options.part).exists():
         from amslicer.meshfiles import READERS
@@ -31,6 +32,8 @@ def slice_command(options: Namespace) -> int:
             f"no fields for '{options.part}': --fields is missing",
             hint=f"`amslicer init` writes a starter file; then: amslicer {options.part} --fields fields.yaml",
         )
+    if options.out == "":
+        raise UsageError("-o: the folder's name is empty", hint="leave -o out for the part's name")
     if options.resume:
         raise UsageError("--resume is not built yet in this version", hint="run again with --overwrite")
     from amslicer.pipeline import Run
@@ -43,14 +46,26 @@ def slice_command(options: Namespace) -> int:
     from amslicer import report
     from amslicer.stack import slice_job
 
-    with report.progress_bar("slicing", "layers", quiet=options.quiet) as progress:
-        result = slice_job(job, out, run=run, overwrite=options.overwrite, progress=progress)
-    if options.json:
-        print(json.dumps(report.result_dict(result)))
-    elif not options.quiet:
-        report.print_notes(result.notes)
-        report.print_result(result)
+    with report.progress_bar("slicing", "layers", quiet=options.quiet) as show:
+        result = slice_job(job, out, run=run, overwrite=options.overwrite, progress=_checked(show, check))
+    with report.a_reader_may_leave():
+        if options.json:
+            print(json.dumps(report.result_dict(result)))
+        elif not options.quiet:
+            report.print_notes(result.notes)
+            report.print_result(result)
     return 0
+
+
+def _checked(show: Progress | None, check: Callable[[], None]) -> Progress:
+    """A progress callback that also stops the run when a signal has arrived."""
+
+    def both(done: int, total: int) -> None:
+        check()
+        if show:
+            show(done, total)
+
+    return both
 
 
 def _load(options: Namespace) -> Job:
@@ -59,8 +74,11 @@ def _load(options: Namespace) -> Job:
     from amslicer.yamlfile import parse_value
 
     overrides: dict[str, Any] = {}
+    printer = options.printer
+    if printer and printer.endswith((".yaml", ".yml")):
+        printer = str(Path(printer).absolute())  # of the command line: relative to where it was typed
     direct = {
-        "printer": options.printer, "output.format": options.format, "output.compression": options.compression,
+        "printer": printer, "output.format": options.format, "output.compression": options.compression,
         "pattern.evaluate": options.evaluate, "pattern.seed": options.seed, "part.scale": options.scale,
         "part.units": options.units,
     }  # fmt: skip
@@ -87,28 +105,30 @@ def _dry_run(job: Job, run: Run, options: Namespace) -> int:
     found = estimate(job, run, DRY_RUN_SAMPLES)
     if options.json:
         print(json.dumps(vars(found)))
-    else:
+    elif not options.quiet:
+        report.print_notes(found.notes)
         report.print_estimate(found)
     return 0
 
 
-def verify_command(options: Namespace) -> int:
+def verify_command(options: Namespace, check: Callable[[], None]) -> int:
     """amslicer verify OUT"""
     if options.report:
         raise UsageError("--report is not built yet in this version", hint="--json prints everything that was found")
     from amslicer import report
     from amslicer.verification import verify_stack
 
-    with report.progress_bar("verifying", "layers", quiet=options.quiet) as progress:
-        found = verify_stack(options.out, options.fields, jobs=options.jobs, progress=progress)
-    if options.json:
-        print(json.dumps(found.as_dict()))
-    elif not options.quiet:
-        report.print_report(found)
+    with report.progress_bar("verifying", "layers", quiet=options.quiet) as show:
+        found = verify_stack(options.out, options.fields, jobs=options.jobs, progress=_checked(show, check))
+    with report.a_reader_may_leave():
+        if options.json:
+            print(json.dumps(found.as_dict()))
+        elif not options.quiet:
+            report.print_report(found)
     return 0 if found.ok else CheckFailed.exit_code
 
 
-def preview_command(options: Namespace) -> int:
+def preview_command(options: Namespace, check: Callable[[], None]) -> int:
     """amslicer preview OUT"""
     import io
 
@@ -137,11 +157,12 @@ def preview_command(options: Namespace) -> int:
     stream = io.BytesIO()
     picture.save(stream, "PNG")
     write_atomically(file, stream.getvalue())
-    print(file)
+    if not options.quiet:
+        print(file)
     return 0
 
 
-def devices_command(options: Namespace) -> int:
+def devices_command(options: Namespace, check: Callable[[], None]) -> int:
     """amslicer devices"""
     from amslicer import report
     from amslicer.device import INSTALL_HINT, list_devices
@@ -158,7 +179,7 @@ def devices_command(options: Namespace) -> int:
     return 0
 
 
-def printers_command(options: Namespace) -> int:
+def printers_command(options: Namespace, check: Callable[[], None]) -> int:
     """amslicer printers"""
     from amslicer import report
     from amslicer.printers import printer_names, read_printer
@@ -172,7 +193,7 @@ def printers_command(options: Namespace) -> int:
     return 0
 
 
-def init_command(options: Namespace) -> int:
+def init_command(options: Namespace, check: Callable[[], None]) -> int:
     """amslicer init"""
     from amslicer.starter import starter_file
     from amslicer.storage import write_atomically

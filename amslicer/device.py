@@ -28,8 +28,6 @@ INSTALL_HINT = (
     "`conda install -c conda-forge pocl` (conda), or your GPU vendor's driver; then `amslicer devices --refresh`"
 )
 GROUP = 64  # work-items per group of the simple kernels: fits every device
-# How PoCL is told its number of threads; the first is the name up to PoCL 4, the second since.
-POCL_THREADS = ("POCL_MAX_PTHREAD_COUNT", "POCL_CPU_MAX_CU_COUNT")
 
 
 @dataclass(frozen=True)
@@ -118,9 +116,6 @@ class Device:
         if jobs is not None and jobs < 1:
             raise UsageError(f"jobs must be at least 1, but is {jobs}")
         self.info = choose_device(substring)
-        for name in POCL_THREADS:
-            if jobs is not None and "pyopencl" not in sys.modules:
-                os.environ[name] = str(jobs)
         import pyopencl as cl
 
         device = cl.get_platforms()[self.info.platform_index].get_devices()[self.info.device_index]
@@ -215,7 +210,14 @@ class Device:
     def __enter__(self) -> Device:
         return self
 
-    def __exit__(self, *exception: object) -> None:
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: object) -> None:
+        import pyopencl as cl
+
+        if isinstance(error, cl.Error):
+            raise DeviceError(
+                f"the OpenCL device '{self.info.name}' failed: {error}",
+                hint="try another device (--device), fewer pixels per layer (--printer) or a larger period",
+            ) from error
         self.close()
 
     def close(self) -> None:

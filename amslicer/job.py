@@ -45,7 +45,11 @@ class Job:
         return _find_sources(self.spec)
 
     def digest(self, part_sha256: str, device_label: str, version: str) -> str:
-        """SHA-256 over everything that can change a byte of the stack (and nothing else)."""
+        """SHA-256 over everything that can change a byte of the stack.
+
+        The job counts as it was written, names and colours included; where its field files lie and how the job is
+        computed (threads, range of layers) do not.
+        """
         renamed = {path: hashlib.sha256(self.inputs.read(path)).hexdigest() for path in self.input_paths()}
         content = {
             "job": _dump(self.spec, renamed),
@@ -120,19 +124,20 @@ def _find_sources(node: Any) -> Iterator[Source]:
 
 
 def _dump(spec: JobFile, renamed: Mapping[str, str]) -> dict[str, Any]:
-    content: dict[str, Any] = spec.model_dump(mode="json", by_alias=True, exclude_none=True)
-    if renamed:
-        _rename(content, renamed)
+    content: dict[str, Any] = _with_paths(spec, renamed).model_dump(mode="json", by_alias=True, exclude_none=True)
     return content
 
 
-def _rename(node: Any, renamed: Mapping[str, str]) -> None:
-    if isinstance(node, dict):
-        for key, value in node.items():
-            if key == "image" and value in renamed:
-                node[key] = renamed[value]
-            else:
-                _rename(value, renamed)
-    elif isinstance(node, list):
-        for value in node:
-            _rename(value, renamed)
+def _with_paths(node: Any, renamed: Mapping[str, str]) -> Any:
+    """The same specification with its sources' files at other paths."""
+    from pydantic import BaseModel
+
+    from amslicer.fields.source import Source
+
+    if isinstance(node, Source):
+        return node.with_paths(renamed)
+    if isinstance(node, BaseModel):
+        return node.model_copy(
+            update={key: _with_paths(getattr(node, key), renamed) for key in type(node).model_fields}
+        )
+    return node

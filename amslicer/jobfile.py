@@ -18,6 +18,19 @@ if TYPE_CHECKING:
 
 DEFAULT_PRINTER = "generic-600dpi"
 OVERRIDES = "overrides"  # what messages call values that did not come from the job file
+# Keys and values of the job file's language that this version does not know at all.
+UNBUILT_KEYS = (
+    "center",
+    "radius",
+    "exemplar",
+    "exemplar_pixel_mm",
+    "isotropy_model",
+    "edges",
+    "lobes",
+    "skin",
+    "bodies",
+)
+UNBUILT_VALUES = ("grabcad", "gcvf", "sl1", "tiff", "zarr", "vti", "nrrd", "3mf", "svx", "xz", "yz")
 # Pairs of keys that say the same thing: setting one takes the other away.
 ALTERNATIVES = (("dpi", "pitch_um"), ("layer_mm", "layer_um"))
 
@@ -115,7 +128,8 @@ def _explain(error: ValidationError, content: dict[str, Any], origin: Origin) ->
     found: Any = content
     for step in path:
         found = _child(found, step)
-    hint = f"{len(errors) - 1} more problems after this one" if len(errors) > 1 else None
+    more = len(errors) - 1
+    hint = f"{more} more problem{'s' if more > 1 else ''} after this one" if more else None
     if first["type"] == "extra_forbidden":
         return origin.error(path, f"unknown key '{key}'", _nearest_key(str(path[-1]), key_paths()) or hint)
     if first["type"] == "missing":
@@ -165,6 +179,8 @@ def _nearest_key(key: str, known: Mapping[str, str]) -> str | None:
 
     if key in known:
         return f"the key is {known[key]}"
+    if key in UNBUILT_KEYS:
+        return "not built yet in this version"
     near = difflib.get_close_matches(key, list(known), n=1)
     return f"did you mean {known[near[0]]}?" if near else None
 
@@ -175,8 +191,12 @@ def _source_hint(value: Any) -> str | None:
 
     from amslicer.fields import PLANNED, SOURCES
 
+    if isinstance(value, str) and value in UNBUILT_VALUES:
+        return "not built yet in this version"
     if not isinstance(value, dict):
         return None
+    if "rest" in value.values():
+        return "a ratio per material is not built yet in this version: give the share of the first"
     named = [key for key in value if key in SOURCES]
     if len(named) > 1:
         return f"give one of {' and '.join(named)}, not both"

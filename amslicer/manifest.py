@@ -59,7 +59,6 @@ def describe_stack(
             "sha256": mesh.sha256,
             "bbox_mm": [_floats(placement.origin_mm), _floats(high)],
             "file_bbox_mm": [_floats(mesh.minimum_mm), _floats(mesh.minimum_mm + mesh.size_mm)],
-            "file_size_mm": _floats(mesh.size_mm),
             "transform": placement.transform(),
             "turned_over": mesh.turned,
         },
@@ -89,8 +88,9 @@ def describe_stack(
 
 
 def _asked_share(material: int, asked: float, solid: int) -> float:
-    first = asked / solid if solid else 0.0
-    return first if material == 0 else 1.0 - first
+    if solid == 0:
+        return 0.0
+    return asked / solid if material == 0 else 1.0 - asked / solid
 
 
 def _floats(values: NDArray[np.float64]) -> list[float]:
@@ -115,7 +115,7 @@ def read_manifest(folder: Path) -> dict[str, Any]:
             raise StorageError(
                 f"'{file}' is {manifest['format']} version {manifest['version']}; this reads {FORMAT} version {VERSION}"
             )
-        grid_of(manifest), placement_of(manifest, 1.0), records_of(manifest)
+        grid_of(manifest), placement_of(manifest), records_of(manifest)
     except (ValueError, KeyError, TypeError, IndexError, AttributeError) as error:
         raise StorageError(f"'{file}' is damaged: {error!r}", hint="slice the part again") from error
     return dict(manifest)
@@ -131,10 +131,11 @@ def grid_of(manifest: dict[str, Any]) -> Grid:
     )  # fmt: skip
 
 
-def placement_of(manifest: dict[str, Any], scale: float) -> Placement:
+def placement_of(manifest: dict[str, Any]) -> Placement:
     """Where the part stands, as a manifest describes it."""
     part = manifest["part"]
     matrix = np.array(part["transform"], float)
+    scale = float(np.cbrt(np.linalg.det(matrix[:3, :3])))
     low_corner, high_corner = np.array(part["bbox_mm"], float)
     file_minimum = np.array(part["file_bbox_mm"][0], float)
     low = low_corner - matrix[:3, 3] - matrix[:3, :3] @ file_minimum

@@ -68,6 +68,17 @@ class Painted:
         """Whether the ratio changes from layer to layer."""
         return self.placement.depends_on_z(self.ratio.varies)
 
+    def check_ratio(self, grid: Grid) -> None:
+        """Looks for a painted ratio outside 0…1 in a few layers, before anything is written.
+
+        Raises:
+            JobError: as ratio_map does.
+        """
+        low, high = self.ratio.bounds
+        if low < -RATIO_ROUNDING or high > 1 + RATIO_ROUNDING:
+            for layer in {0, grid.layers // 2, grid.layers - 1} if self.ratio_depends_on_z else {0}:
+                self.ratio_map(grid, layer)
+
     def ratio_map(self, grid: Grid, layer: int) -> NDArray[np.float32]:
         """(rows, columns) painted ratio at the pixel centres of a layer, row 0 = lowest y.
 
@@ -82,9 +93,14 @@ class Painted:
             wrong = ~((values >= -RATIO_ROUNDING) & (values <= 1 + RATIO_ROUNDING))
             if wrong.any():
                 row, column = np.argwhere(wrong)[0]
+                place = self.placement.to_field(x[0, column], y[row, 0], z)
+                at = ", ".join(
+                    f"{axis} = {float(v + low):.2f}"
+                    for axis, v, low in zip("xyz", place, self.placement.file_minimum_mm, strict=True)
+                )
                 raise JobError(
-                    f"fields.ratio is {values[row, column]:.4g} at x = {x[0, column]:.2f}, y = {y[row, 0]:.2f}, "
-                    f"z = {float(z):.2f} mm from the part's corner; a ratio is between 0 and 1",
+                    f"fields.ratio is {values[row, column]:.4g} at {at} mm (file coordinates); "
+                    "a ratio is between 0 and 1",
                     hint="change the field's range (or from and to) so that it stays within 0 and 1",
                 )
             out[first : first + RATIO_ROWS] = np.clip(values, 0.0, 1.0)
@@ -146,7 +162,7 @@ class Pattern:
         self._graded: tuple[tuple[int, int], list[Any]] | None = None
         self._ratio: NDArray[np.float32] | None = None
         self._running: Floats | None = None
-        self._sheets: dict[int, Kernels] = {}
+        self._cell_layers: dict[int, Kernels] = {}
         # What is ever looked at, margin included, in whole tiles: kernels are kept for all of it.
         first, end = self._all_tiles()
         side = tiling.pixels * np.array(grid.pitch_mm)
@@ -285,14 +301,16 @@ class Pattern:
 
     def _kernels(self, low_mm: Floats, high_mm: Floats, low_z_mm: float, high_z_mm: float) -> Kernels:
         """All kernels that reach a rectangle between two heights, in the order of their cells."""
-        sheets = self.noise.sheets(low_z_mm, high_z_mm)
-        self._sheets = {sheet: kernels for sheet, kernels in self._sheets.items() if sheet in sheets}
-        for sheet in sheets:
-            if sheet not in self._sheets:
-                self._sheets[sheet] = self.noise.kernels(self._draw, sheet, *self._rectangle, self.painted.normals)
+        cell_layers = self.noise.cell_layers(low_z_mm, high_z_mm)
+        self._cell_layers = {number: kernels for number, kernels in self._cell_layers.items() if number in cell_layers}
+        for number in cell_layers:
+            if number not in self._cell_layers:
+                self._cell_layers[number] = self.noise.kernels(
+                    self._draw, number, *self._rectangle, self.painted.normals
+                )
         near = []
-        for sheet in sheets:
-            kernels = self._sheets[sheet]
+        for number in cell_layers:
+            kernels = self._cell_layers[number]
             centre, radius = kernels.centre_mm, kernels.radius_mm
             reaches = np.all(centre[:, :2] + radius[:, None] > low_mm, axis=1)
             reaches &= np.all(centre[:, :2] - radius[:, None] < high_mm, axis=1)

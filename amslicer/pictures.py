@@ -58,8 +58,8 @@ def contact_sheet(stack: Stack, count: int = THUMBNAILS) -> Image:
     pitch, colors = stack.grid.pitch_mm, stack.colors
     columns = min(4, len(positions))
     thumb_width = (SHEET_WIDTH - GAP * (columns + 1)) // columns
-    main = layer_picture(stack[largest], colors, pitch, SHEET_WIDTH - 2 * GAP)
-    thumbs = [layer_picture(stack[i], colors, pitch, thumb_width) for i in positions]
+    main = layer_picture(stack[largest], colors, pitch, _fitting(stack, SHEET_WIDTH - 2 * GAP))
+    thumbs = [layer_picture(stack[i], colors, pitch, _fitting(stack, thumb_width)) for i in positions]
     rows = -(-len(thumbs) // columns)
     row_height = thumbs[0].height + TEXT_HEIGHT + GAP
     height = main.height + 2 * TEXT_HEIGHT + 3 * GAP + rows * row_height
@@ -83,6 +83,14 @@ def contact_sheet(stack: Stack, count: int = THUMBNAILS) -> Image:
         sheet.paste(thumb, (left, upper))
         draw.text((left, upper + thumb.height), _caption(stack[position]), fill=INK, font=font)
     return sheet
+
+
+def _fitting(stack: Stack, side: int) -> int:
+    """The width at which a layer fits into a square of this side."""
+    width, height = (
+        n * p for n, p in zip((stack.grid.width_px, stack.grid.height_px), stack.grid.pitch_mm, strict=True)
+    )
+    return max(1, round(side * min(1.0, width / height)))
 
 
 def _caption(layer: Layer, px_per_mm: float | None = None) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import operator
 import os
 import time
 from collections.abc import Callable, Iterator
@@ -18,7 +19,7 @@ from amslicer.grid import Grid, cover
 from amslicer.layer import Layer
 from amslicer.mask import Slicer, join_runs, make_slicer
 from amslicer.mesh import Mesh, read_mesh
-from amslicer.pattern import Painted, Pattern, open_fields
+from amslicer.pattern import Painted, Pattern, make_noise, open_fields
 from amslicer.placement import Placement, place
 from amslicer.tiles import Tiling, choose_tiling
 
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from amslicer.job import Job
+    from amslicer.noise import Noise
 
 Progress = Callable[[int, int], None]
 
@@ -33,10 +35,11 @@ Progress = Callable[[int, int], None]
 # byte.
 BATCH_BYTES = 1 << 27
 MASK_BYTES, THRESHOLD_BYTES = 2, 4  # per pixel
-# One layer's G, thresholds and masks take about 20 bytes per pixel; beyond this no machine holds them.
-MAX_LAYER_PIXELS = 200_000_000
+# One layer's thresholds, masks and labels take about 10 bytes per pixel; Pillow reads no larger pictures back.
+MAX_LAYER_PIXELS = 170_000_000
 MAX_LAYERS = 1_000_000
 MAX_SIDE_MM = 1e7  # 10 km
+MAX_KERNELS, MAX_TABLE_BYTES = 20_000_000, 8 << 30  # of one batch of layers: beyond, memory runs out
 NOTED_MM = 5e-4  # moves that would be shown as 0.000 mm are float noise
 MIN_PERIOD_PX = 3  # below, pixels do not show where one sheet ends
 
@@ -54,6 +57,10 @@ class Run:
     device: str | None = None
     jobs: int | None = None
     layers: tuple[int | None, int | None] | None = None
+
+    def __post_init__(self) -> None:
+        if self.jobs is not None and self.jobs < 1:
+            raise UsageError(f"jobs must be at least 1, but is {self.jobs}")
 
     @property
     def threads(self) -> int:
@@ -84,13 +91,28 @@ class Prepared:
         if abs(lifted) >= NOTED_MM:
             was, moved = ("above", "down") if lifted < 0 else ("below", "up")
             notes.append(f"the part was {abs(lifted):.3f} mm {was} the bed: moved {moved} to z = 0")
-        period, pitch = self.job.spec.pattern.period, max(self.grid.pitch_mm)
-        if isinstance(period, float) and period < MIN_PERIOD_PX * pitch:
-            notes.append(
-                f"the period of {period:g} mm is {period / pitch:.1f} pixels of {1000 * pitch:.0f} µm: "
-                f"sheets are lost below {MIN_PERIOD_PX} pixels"
-            )
+        notes.extend(self._fineness_notes())
         return notes
+
+    def _fineness_notes(self) -> Iterator[str]:
+        """Whether pixels show the sheets."""
+        pattern = self.job.spec.pattern
+        assert isinstance(pattern.period, float)
+        heights = (self.grid.layer_mm,) if pattern.dimensions == 3 else ()
+        pitch = max(*self.grid.pitch_mm, *heights)
+        if pattern.period < MIN_PERIOD_PX * pitch:
+            yield (
+                f"the period of {pattern.period:g} mm is {pattern.period / pitch:.1f} pixels or layers of "
+                f"{1000 * pitch:.0f} µm: sheets are lost below {MIN_PERIOD_PX}"
+            )
+            return
+        low, high = self.painted.ratio.bounds
+        thinnest = min((share for share in (low, 1 - high) if share > 0), default=1.0) * pattern.period
+        if thinnest < pitch:
+            yield (
+                f"the thinnest sheets are {1000 * thinnest:.0f} µm, less than a pixel or layer of "
+                f"{1000 * pitch:.0f} µm: the ratio will not be exact there"
+            )
 
 
 def prepare(job: Job) -> Prepared:
@@ -111,6 +133,7 @@ def prepare(job: Job) -> Prepared:
     period = spec.pattern.period
     assert isinstance(period, float)
     tiling = choose_tiling(grid, period)
+    _refuse_many_kernels(job, make_noise(job), grid, tiling, placement)
     return Prepared(job, mesh, placement, grid, tiling, make_slicer(vertices, mesh.triangles, grid), painted)
 
 
@@ -131,6 +154,23 @@ def _refuse_absurd(job: Job, grid: Grid, placement: Placement) -> None:
             f"{grid.height_px} pixels in {grid.layers} layers; at most {MAX_LAYER_PIXELS // 10**6} million pixels "
             f"per layer and {MAX_LAYERS} layers are sliced",
             hint="check the part's units (--units), or use a coarser printer (--printer)",
+        )
+
+
+def _refuse_many_kernels(job: Job, noise: Noise, grid: Grid, tiling: Tiling, placement: Placement) -> None:
+    """The kernels of one batch and their tables, counted before any is drawn."""
+    reach = noise.radius_mm
+    width, depth = (float(v) + 2 * reach for v in placement.size_mm[:2])
+    height = 2 * reach + tiling.layers * grid.layer_mm if noise.dimensions == 3 else 1.0
+    kernels = noise.density * width * depth * height
+    slots = 2 * reach / (tiling.pixels * min(grid.pitch_mm)) + 2
+    table_bytes = kernels * slots * tiling.pixels * 8
+    if kernels > MAX_KERNELS or table_bytes > MAX_TABLE_BYTES:
+        pattern = job.spec.pattern
+        raise JobError(
+            f"the job is too large: with pattern.period {pattern.period} mm and bandwidth {pattern.bandwidth} a layer "
+            f"needs {kernels:.3g} kernels that reach {reach:.3g} mm ({table_bytes / 1e9:.3g} GB of tables)",
+            hint="use a period of at least 3 pixels, no larger than the part, and a bandwidth of 0.25 to 1",
         )
 
 
@@ -180,6 +220,10 @@ def field_of_layer(job: Job, index: int, run: Run | None = None) -> NDArray[np.c
         UsageError: there is no such layer.
     """
     run = run or Run()
+    try:
+        index = operator.index(index)
+    except TypeError:
+        raise UsageError(f"a layer is a whole number, but is {index!r}") from None
     prepared = prepare(job)
     count = prepared.grid.layers
     if not -count <= index < count:
@@ -262,6 +306,7 @@ class Estimate:
     bytes: int
     seconds: float
     device: str
+    notes: tuple[str, ...]
 
 
 def estimate(job: Job, run: Run, samples: int) -> Estimate:
@@ -293,5 +338,5 @@ def estimate(job: Job, run: Run, samples: int) -> Estimate:
     share = len(chosen) / made
     return Estimate(
         grid.width_px, grid.height_px, len(chosen), len(chosen) * len(job.materials),
-        round(size * share), seconds * share, label,
+        round(size * share), seconds * share, label, tuple(prepared.notes()),
     )  # fmt: skip

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import io
+import os
+import shutil
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -56,6 +59,16 @@ def _lines(verb: str, unit: str) -> Callable[[int, int], None]:
             print(f"{verb}: {done} of {total} {unit}, about {left:.0f} s left", file=sys.stderr, flush=True)
 
     return show
+
+
+@contextmanager
+def a_reader_may_leave() -> Iterator[None]:
+    """Lets whoever reads our output close the pipe early: the exit code still says what was found."""
+    try:
+        yield
+        sys.stdout.flush()
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def print_notes(notes: Sequence[str]) -> None:
@@ -155,10 +168,14 @@ def _table(head: Sequence[str], rows: Sequence[Sequence[str]], left: Sequence[in
         table.add_column(name, justify="left" if i in left else "right", no_wrap=True)
     for row in rows:
         table.add_row(*row)
-    _console(sys.stdout).print(table)
+    # rich would end the process when the reader of a pipe has left.
+    stream = io.StringIO()
+    _console(stream, colors=sys.stdout.isatty()).print(table)
+    print(stream.getvalue(), end="")
 
 
-def _console(stream: Any) -> Console:
+def _console(stream: Any, *, colors: bool = True) -> Console:
     from rich.console import Console
 
-    return Console(file=stream, width=None if stream.isatty() else WIDTH, highlight=False)
+    width = shutil.get_terminal_size((WIDTH, 0)).columns if colors else WIDTH
+    return Console(file=stream, width=width, force_terminal=colors, highlight=False)

@@ -12,12 +12,14 @@ from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, field_val
 
 from amslicer.fields import FieldSpec
 from amslicer.fields.source import Number
+from amslicer.grid import MM_PER_INCH
 
 Whole = Annotated[int, Field(strict=True)]
 Flag = Annotated[bool, Field(strict=True)]
 Positive = Annotated[Number, Field(gt=0)]
 
 MAX_SEED = 2**64 - 1
+MIN_IMPULSES = 2  # fewer kernels leave empty places, where there is no phase and the ratio is wrong
 MIN_PITCH_MM, MAX_PITCH_MM = 1e-4, 1e3  # finer than light, coarser than a part: a mistake
 # Folder names on every file system, and the names of the stack's own entries.
 MATERIAL_NAME = r"^[A-Za-z0-9][A-Za-z0-9 _.+-]{0,63}$"
@@ -25,11 +27,11 @@ RESERVED_NAMES = ("inputs", "manifest.json", "job.yaml")
 # Distinct colours for materials that are given without one (the first two are the README's).
 DEFAULT_COLORS = ("#2b6cb0", "#f6ad55", "#38a169", "#e53e3e", "#805ad5", "#d69e2e", "#319795", "#718096")
 
-NOISES = (
+NOISE_NAMES = (
     "phasor", "gabor", "gabor-isotropic", "phacelle", "phacelle-simple", "wave", "wave-cellular",
     "wave-polytope", "wave-stit", "wave-by-example", "random-phase", "asymptotic-spot",
 )  # fmt: skip
-PROFILES = ("pwm", "symmetric", "cyclic")
+PROFILE_NAMES = ("pwm", "symmetric", "cyclic")
 
 
 class Model(BaseModel):
@@ -65,7 +67,7 @@ class Printer(Model):
         """Pixel size along x and y."""
         if self.dpi is not None:
             x, y = self.dpi if isinstance(self.dpi, tuple) else (self.dpi, self.dpi)
-            return 25.4 / x, 25.4 / y
+            return MM_PER_INCH / x, MM_PER_INCH / y
         assert self.pitch_um is not None
         x, y = self.pitch_um if isinstance(self.pitch_um, tuple) else (self.pitch_um, self.pitch_um)
         return x / 1000, y / 1000
@@ -110,16 +112,16 @@ class Material(Model):
 class Pattern(Model):
     """The laminate's noise and profile."""
 
-    noise: Literal[NOISES] = Field(default="phasor", description="the random field")  # type: ignore[valid-type]
+    noise: Literal[NOISE_NAMES] = Field(default="phasor", description="the random field")  # type: ignore[valid-type]
     dimensions: Literal[2, 3] = Field(default=3, description="3: solid laminate; 2: the same pattern in every layer")
     period: FieldSpec = Field(default=1.0, description="mm between two sheets of a material, in the printed part")
     bandwidth: Annotated[Number, Field(gt=0, le=2)] = Field(default=0.5, description="relative to 1/period")
-    impulses: Annotated[Number, Field(gt=0, le=100)] | None = Field(
+    impulses: Annotated[Number, Field(ge=MIN_IMPULSES, le=100)] | None = Field(
         default=None, description="kernels per bandwidth^dimensions; default per noise"
     )
     alignment: Annotated[Whole, Field(ge=0, le=10_000)] = Field(default=0, description="phase-alignment sweeps")
     evaluate: Literal["lattice", "exact"] = Field(default="lattice", description="how G is computed")
-    profile: Literal[PROFILES] = Field(default="pwm", description="phase to material")  # type: ignore[valid-type]
+    profile: Literal[PROFILE_NAMES] = Field(default="pwm", description="phase to material")  # type: ignore[valid-type]
     seed: Annotated[Whole, Field(ge=0, le=MAX_SEED)] = 1
 
 

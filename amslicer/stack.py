@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import io
-import re
 import time
+import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,11 +13,9 @@ from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 
-from amslicer.errors import StorageError, UsageError
+from amslicer.errors import StorageError
 from amslicer.layer import Layer
 from amslicer.manifest import (
-    INPUTS,
-    JOB_FILE,
     MANIFEST,
     LayerRecord,
     describe_stack,
@@ -25,7 +23,8 @@ from amslicer.manifest import (
     read_manifest,
     records_of,
 )
-from amslicer.storage import TEMPORARY, json_bytes, storage_errors, write_atomically
+from amslicer.stackfolder import opened_folder
+from amslicer.storage import json_bytes, storage_errors, sync_folder, write_atomically
 from amslicer.writers.png import layer_path
 
 if TYPE_CHECKING:
@@ -37,8 +36,8 @@ if TYPE_CHECKING:
     from amslicer.job import Job
     from amslicer.pipeline import Made, Prepared, Progress, Run
 
-JOB_HEADER = "# written by amslicer: the whole job; slice it again with `amslicer PART --fields` and this file\n"
-LAYER_FILE = re.compile(r"\d{5,}\.png(" + re.escape(TEMPORARY) + ")?")
+# Beyond what half a pixel all over the surface explains.
+VOLUME_SHARE = 0.01
 
 
 @dataclass(frozen=True)
@@ -111,9 +110,13 @@ def slice_job(
         job = job.with_format(format)
     prepared = prepare(job)
     chosen = layer_range(run, prepared.grid.layers)
-    with Device(run.device, run.jobs) as device, host_threads(run) as pool:
+    prepared.painted.check_ratio(prepared.grid)
+    with (
+        Device(run.device, run.jobs) as device,
+        host_threads(run) as pool,
+        opened_folder(out, job, overwrite=overwrite),
+    ):
         pattern = prepared.pattern(device)
-        open_folder(out, job, overwrite=overwrite)
         records: list[LayerRecord] = []
         asked = 0.0
         for batch in make_layers(prepared, pattern, pool, chosen, run.threads):
@@ -123,7 +126,10 @@ def slice_job(
                 progress(len(records), len(chosen))
         digest = job.digest(prepared.mesh.sha256, device.label, __version__)
         manifest = describe_stack(prepared, records, asked, device=device.label, digest=digest, version=__version__)
-    write_atomically(out / MANIFEST, json_bytes(manifest))
+        for name in job.materials:
+            sync_folder(out / name)
+        write_atomically(out / MANIFEST, json_bytes(manifest))
+        sync_folder(out)
     return _result(out, manifest, prepared, time.monotonic() - started)
 
 
@@ -148,100 +154,48 @@ def _result(out: Path, manifest: dict[str, Any], prepared: Prepared, seconds: fl
     )  # fmt: skip
     return Result(
         out, materials, manifest["solid_pixels"], len(manifest["layers"]), manifest["complete"], seconds,
-        tuple(prepared.notes()),
+        (*prepared.notes(), *_outcome_notes(manifest, prepared)),
     )  # fmt: skip
 
 
-def open_folder(out: Path, job: Job, *, overwrite: bool) -> None:
-    """Makes the stack's folder ready: material folders, job.yaml and inputs/.
+def _outcome_notes(manifest: dict[str, Any], prepared: Prepared) -> Iterator[str]:
+    """What is odd about a finished stack, in sentences."""
+    from amslicer.verification import ratio_tolerance
 
-    Raises:
-        UsageError: it holds something, and `overwrite` is off or would replace what amslicer did not write.
-        StorageError: it cannot be written.
-    """
-    with storage_errors("write to", out):
-        if out.exists() and not out.is_dir():
-            raise UsageError(f"'{out}' is a file, not a folder", hint="choose another folder (-o OUT)")
-        if out.is_dir() and any(out.iterdir()):
-            if not overwrite:
-                raise UsageError(
-                    f"the folder '{out}' is not empty",
-                    hint="choose another folder (-o OUT), or add --overwrite",
-                )
-            _remove_stack(out)
-        renamed = _input_names(job)
-        materials = [out / name for name in job.materials]
-        taken = [p for f in materials if f.exists() for p in f.iterdir() if LAYER_FILE.fullmatch(p.name)]
-        taken += [p for p in (out / name for name in (JOB_FILE, MANIFEST, *renamed.values())) if p.exists()]
-        if taken:
-            raise UsageError(
-                f"'{taken[0]}' stands where the stack would go, and amslicer did not write it",
-                hint="move it away or choose another folder (-o OUT)",
-            )
-        for folder in [*materials, *([out / INPUTS] if renamed else [])]:
-            folder.mkdir(parents=True, exist_ok=True)
-    for name, new in renamed.items():
-        write_atomically(out / new, job.inputs.read(name))
-    write_atomically(out / JOB_FILE, _job_yaml(job, renamed))
-
-
-def _input_names(job: Job) -> dict[str, str]:
-    """Where each field file goes: inputs/NAME, numbered where names repeat."""
-    renamed: dict[str, str] = {}
-    for path in job.input_paths():
-        name, number = Path(path).name, 1
-        while f"{INPUTS}/{name}" in renamed.values():
-            number += 1
-            name = f"{Path(path).stem}-{number}{Path(path).suffix}"
-        renamed[path] = f"{INPUTS}/{name}"
-    return renamed
-
-
-def _job_yaml(job: Job, renamed: dict[str, str]) -> bytes:
-    from ruamel.yaml import YAML
-
-    stream = io.StringIO(JOB_HEADER)
-    stream.seek(0, io.SEEK_END)
-    yaml = YAML(typ="safe", pure=True)
-    yaml.default_flow_style = False
-    yaml.sort_base_mapping_type_on_output = False  # type: ignore[assignment]
-    yaml.dump(job.resolved(renamed), stream)
-    return stream.getvalue().encode()
-
-
-def _remove_stack(out: Path) -> None:
-    """Removes a stack that amslicer wrote (finished or not), and nothing else."""
-    job_file = out / JOB_FILE
-    if not (job_file.is_file() and job_file.read_text(encoding="utf-8", errors="replace").startswith(JOB_HEADER)):
+    records = records_of(manifest)
+    solid = [sum(record.pixels.values()) for record in records]
+    filled = [i for i, pixels in enumerate(solid) if pixels]
+    if not filled:
+        yield "no pixel is solid: the part is thinner than a layer or a pixel of this printer"
         return
-    from amslicer.yamlfile import read_yaml
-
-    content = read_yaml(job_file, "job file of the stack")[0]
-    for material in content.get("materials", []):
-        folder = out / str(material["name"])
-        if folder.is_dir():
-            for file in folder.iterdir():
-                if LAYER_FILE.fullmatch(file.name):
-                    file.unlink()
-            _remove_if_empty(folder)
-    for name in _inputs_of(content):
-        (out / name).unlink(missing_ok=True)
-    _remove_if_empty(out / INPUTS)
-    (out / MANIFEST).unlink(missing_ok=True)
-    job_file.unlink()
-
-
-def _inputs_of(node: Any) -> Iterator[str]:
-    if isinstance(node, dict):
-        for value in node.values():
-            yield from _inputs_of(value)
-    elif isinstance(node, str) and re.fullmatch(INPUTS + r"/[^/\\]+", node):
-        yield node
+    gaps = [records[i].index for i in range(filled[0], filled[-1]) if not solid[i]]
+    if gaps:
+        yield f"{len(gaps)} layers between solid ones are empty, first {gaps[0]}: the part is thinner than a pixel"
+    first = manifest["materials"][0]
+    allowed = ratio_tolerance(
+        prepared.grid, prepared.job, prepared.painted, first["ratio_asked"], sum(solid), max(solid)
+    )
+    if abs(first["ratio"] - first["ratio_asked"]) > allowed:
+        yield (
+            f"{first['name']} is {100 * first['ratio']:.2f} % instead of {100 * first['ratio_asked']:.2f} %, more than "
+            f"chance explains (± {100 * allowed:.2f} %): pixels are too coarse for the sheets"
+        )
+    if manifest["complete"]:
+        yield from _volume_note(sum(solid) * prepared.grid.voxel_mm3, prepared)
 
 
-def _remove_if_empty(folder: Path) -> None:
-    if folder.is_dir() and not any(folder.iterdir()):
-        folder.rmdir()
+def _volume_note(volume_mm3: float, prepared: Prepared) -> Iterator[str]:
+    """The stack's volume against the mesh's, beyond what sampling its surface can explain."""
+    corners = prepared.slicer.corners
+    sides = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    surface_mm2 = float(np.linalg.norm(sides, axis=1).sum()) / 2
+    expected = prepared.mesh.volume_mm3 * prepared.placement.scale**3
+    coarsest = max(*prepared.grid.pitch_mm, prepared.grid.layer_mm)
+    if abs(volume_mm3 - expected) > VOLUME_SHARE * expected + surface_mm2 * coarsest / 2:
+        yield (
+            f"the stack holds {volume_mm3:.4g} mm³ and the mesh's bodies together {expected:.4g} mm³: overlapping "
+            "bodies count once in a stack"
+        )
 
 
 class Stack(Sequence[Layer]):
@@ -307,7 +261,9 @@ def decode_bitmap(content: bytes, file: Path) -> NDArray[np.bool_]:
     from PIL import Image
 
     try:
-        picture = Image.open(io.BytesIO(content), formats=("PNG",))
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # a printer's bed is that large
+            picture = Image.open(io.BytesIO(content), formats=("PNG",))
         if picture.mode != "1":
             raise StorageError(f"'{file}' is not a 1-bit picture (mode {picture.mode})")
         return np.asarray(picture)

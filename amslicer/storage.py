@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import fcntl
 import json
 import os
 from collections.abc import Iterator
@@ -10,7 +11,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-from amslicer.errors import StorageError
+from amslicer.errors import StorageError, UsageError
 
 TEMPORARY = ".amslicer-tmp"  # suffix of files on their way
 HINTS = {
@@ -50,6 +51,37 @@ def write_atomically(path: Path, content: bytes) -> None:
             with suppress(OSError):
                 temporary.unlink(missing_ok=True)
             raise
+
+
+@contextmanager
+def locked(folder: Path) -> Iterator[None]:
+    """Keeps every other process out of a folder; the lock dies with the process.
+
+    Raises:
+        UsageError: another process has it.
+    """
+    with storage_errors("open", folder):
+        descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise UsageError(
+                f"another amslicer is writing to '{folder}'", hint="wait for it, or choose another folder (-o OUT)"
+            ) from None
+        yield
+    finally:
+        os.close(descriptor)
+
+
+def sync_folder(folder: Path) -> None:
+    """Sees that the names in a folder survive a power loss."""
+    with storage_errors("write to", folder):
+        descriptor = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)
 
 
 def json_bytes(content: Any) -> bytes:

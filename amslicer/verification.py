@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from amslicer.grid import Grid
     from amslicer.job import Job
     from amslicer.pipeline import Progress
 
@@ -31,10 +32,9 @@ if TYPE_CHECKING:
 # phasor noise of bandwidth B; four of them, and what faces parallel to the sheets cut off, ρ(1-ρ)/N for N
 # sheets across, is as far as an honest stack goes.
 SPREAD, SIGMAS = 0.075, 4.0
-# Rows and columns of pixels sample a stripe's width: the ratio of very few pixels cannot be better than this.
+# Pixels that a sheet's edge passes through fall to either side: the share of n pixels scatters by about ½/√n.
 PIXEL_SHARE = 0.5
 MAX_PROBLEMS = 20  # said in full; more are counted
-# The partition of a layer's solid is judged where two materials claim a pixel; gaps show in the counts.
 
 
 @dataclass(frozen=True)
@@ -210,8 +210,8 @@ def _job_of(stack: Stack, fields: str | os.PathLike[str] | None) -> Job:
 
 
 def _painted(stack: Stack, job: Job) -> Painted:
-    placement = placement_of(stack.manifest, job.spec.part.scale)
-    return open_fields(job, placement, np.array(stack.manifest["part"]["file_size_mm"], float))
+    low, high = np.array(stack.manifest["part"]["file_bbox_mm"], float)
+    return open_fields(job, placement_of(stack.manifest), high - low)
 
 
 def _missing_layers(stack: Stack) -> Iterator[str]:
@@ -282,26 +282,28 @@ def _material_reports(
 ) -> dict[str, MaterialReport]:
     solid = sum(totals)
     first = asked / solid if solid else 0.0
-    tolerance = ratio_tolerance(stack, job, painted, first, solid)
+    largest = max(sum(r.pixels.values()) for r in stack.records)
+    tolerance = ratio_tolerance(stack.grid, job, painted, first, solid, largest)
+    shares = [first] + [1.0 - first if solid else 0.0] * (len(totals) - 1)
     return {
-        name: MaterialReport(name, count, count / solid if solid else 0.0, first if m == 0 else 1.0 - first, tolerance)
-        for m, (name, count) in enumerate(zip(stack.materials, totals, strict=True))
+        name: MaterialReport(name, count, count / solid if solid else 0.0, share, tolerance)
+        for name, count, share in zip(stack.materials, totals, shares, strict=True)
     }
 
 
-def ratio_tolerance(stack: Stack, job: Job, painted: Painted, ratio: float, solid: int) -> float:
+def ratio_tolerance(grid: Grid, job: Job, painted: Painted, ratio: float, solid: int, largest: int) -> float:
     """How far the ratio of an honest stack may be from the painted mean: 4σ + ρ(1-ρ)/N + a pixel's share.
 
     Args:
         ratio: mean painted ratio over the solid.
-        solid: solid pixels of all layers.
+        solid, largest: solid pixels of all layers, and of the layer that has most.
     """
     if solid == 0 or not 0 < ratio < 1:
         return 0.0 if solid == 0 else 1.0 / solid
-    grid, pattern = stack.grid, job.spec.pattern
+    pattern = job.spec.pattern
     assert isinstance(pattern.period, float)
     pixel_periods = grid.pitch_mm[0] * grid.pitch_mm[1] / pattern.period**2
-    area = max(sum(r.pixels.values()) for r in stack.records) * pixel_periods
+    area = largest * pixel_periods
     if pattern.dimensions == 3:
         # Layers further apart than an envelope's width are different laminates: their ratios average.
         depth = pattern.period / pattern.bandwidth

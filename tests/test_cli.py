@@ -15,6 +15,7 @@ import parts
 import pytest
 from PIL import Image
 
+import amslicer
 from amslicer import __version__, cli
 
 JOB = """\
@@ -34,7 +35,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def amslicer(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str, str]:
+def run(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str, str]:
     code = cli.main(list(words))
     captured = capsys.readouterr()
     # The first run on a machine says that it is compiling.
@@ -46,55 +47,55 @@ SLICE = ("part.stl", "--fields", "fields.yaml")
 
 
 def test_slice_verify_preview(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    code, out, err = amslicer(capsys, *SLICE, "-o", "stack")
+    code, out, err = run(capsys, *SLICE, "-o", "stack")
     assert (code, err) == (0, "")
     assert "stack: stack" in out
     assert "ratio asked" in out
-    code, out, err = amslicer(capsys, "verify", "stack")
+    code, out, err = run(capsys, "verify", "stack")
     assert (code, err) == (0, "")
     assert "as it was asked for" in out
-    code, out, _ = amslicer(capsys, "preview", "stack")
+    code, out, _ = run(capsys, "preview", "stack")
     assert code == 0
     assert out.strip() == str(folder / "stack-preview.png")
     Image.open(out.strip()).load()
 
 
 def test_the_default_folder_is_the_parts_name(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert amslicer(capsys, *SLICE)[0] == 0
+    assert run(capsys, *SLICE)[0] == 0
     assert (folder / "part" / "manifest.json").is_file()
 
 
 def test_quiet_prints_nothing(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert amslicer(capsys, *SLICE, "-o", "stack", "--quiet") == (0, "", "")
-    assert amslicer(capsys, "verify", "stack", "--quiet") == (0, "", "")
+    assert run(capsys, *SLICE, "-o", "stack", "--quiet") == (0, "", "")
+    assert run(capsys, "verify", "stack", "--quiet") == (0, "", "")
 
 
 def test_json(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    code, out, _ = amslicer(capsys, *SLICE, "-o", "stack", "--json")
+    code, out, _ = run(capsys, *SLICE, "-o", "stack", "--json")
     result = json.loads(out)
     assert code == 0
     assert result["layers"] == 4
     assert result["complete"] is True
     assert result["solid_pixels"] == 40 * 30 * 4
     assert [m["name"] for m in result["materials"]] == ["rigid", "flexible"]
-    report = json.loads(amslicer(capsys, "verify", "stack", "--json")[1])
+    report = json.loads(run(capsys, "verify", "stack", "--json")[1])
     assert report["ok"] is True
     assert report["materials"]["rigid"]["expected"] == pytest.approx(0.3)
 
 
 def test_verify_fails_with_7(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    amslicer(capsys, *SLICE, "-o", "stack")
+    run(capsys, *SLICE, "-o", "stack")
     (folder / "stack" / "rigid" / "00001.png").unlink()
-    code, out, _ = amslicer(capsys, "verify", "stack")
+    code, out, _ = run(capsys, "verify", "stack")
     assert code == 7
     assert "FAILED files" in out
     assert "00001.png" in out
-    assert json.loads(amslicer(capsys, "verify", "stack", "--json")[1])["ok"] is False
+    assert json.loads(run(capsys, "verify", "stack", "--json")[1])["ok"] is False
 
 
 def test_set_and_the_shorthands_change_the_job(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = ("--set", "pattern.period=2", "--set", "printer.margin_px=2", "--seed", "9", "--scale", "0.5")
-    assert amslicer(capsys, *SLICE, *words, "-o", "stack", "--compression", "small")[0] == 0
+    assert run(capsys, *SLICE, *words, "-o", "stack", "--compression", "small")[0] == 0
     job = (folder / "stack" / "job.yaml").read_text()
     for line in ("period: 2.0", "margin_px: 2", "seed: 9", "scale: 0.5", "compression: small"):
         assert line in job
@@ -103,56 +104,56 @@ def test_set_and_the_shorthands_change_the_job(folder: Path, capsys: pytest.Capt
 
 
 def test_units(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert amslicer(capsys, *SLICE, "--units", "cm", "--set", "part.scale=0.1", "-o", "stack")[0] == 0
+    assert run(capsys, *SLICE, "--units", "cm", "--set", "part.scale=0.1", "-o", "stack")[0] == 0
     assert json.loads((folder / "stack" / "manifest.json").read_text())["grid"]["width_px"] == 40
 
 
 def test_layers(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert amslicer(capsys, *SLICE, "--layers", "1:3", "-o", "stack")[0] == 0
+    assert run(capsys, *SLICE, "--layers", "1:3", "-o", "stack")[0] == 0
     assert sorted(p.name for p in (folder / "stack" / "rigid").iterdir()) == ["00001.png", "00002.png"]
 
 
 def test_dry_run_writes_nothing(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     before = set(folder.rglob("*"))
-    code, out, _ = amslicer(capsys, *SLICE, "--dry-run")
+    code, out, _ = run(capsys, *SLICE, "--dry-run")
     assert code == 0
     assert "40 × 30 px" in out
     assert "nothing was written" in out
-    found = json.loads(amslicer(capsys, *SLICE, "--dry-run", "--json")[1])
+    found = json.loads(run(capsys, *SLICE, "--dry-run", "--json")[1])
     assert (found["layers"], found["files"]) == (4, 8)
     assert set(folder.rglob("*")) == before
 
 
 def test_init_writes_a_file_that_slices(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert amslicer(capsys, "init", "mine.yaml")[0] == 0
+    assert run(capsys, "init", "mine.yaml")[0] == 0
     words = ("part.stl", "--fields", "mine.yaml", "--printer", "generic-300dpi", "--layers", "0:2", "-o", "stack")
-    assert amslicer(capsys, *words)[0] == 0
-    code, _, err = amslicer(capsys, "init", "mine.yaml")
+    assert run(capsys, *words)[0] == 0
+    code, _, err = run(capsys, "init", "mine.yaml")
     assert code == 2
     assert "exists already" in err
 
 
 def test_printers_lists_every_profile(capsys: pytest.CaptureFixture[str]) -> None:
-    code, out, _ = amslicer(capsys, "printers")
+    code, out, _ = run(capsys, "printers")
     assert code == 0
     for name in ("generic-300dpi", "generic-600dpi", "generic-1200dpi"):
         assert name in out
-    by_name = {p["name"]: p for p in json.loads(amslicer(capsys, "printers", "--json")[1])}
+    by_name = {p["name"]: p for p in json.loads(run(capsys, "printers", "--json")[1])}
     assert by_name["generic-600dpi"]["pitch_mm"] == pytest.approx([25.4 / 600, 25.4 / 600])
     assert by_name["generic-600dpi"]["layer_mm"] == 0.027
 
 
 def test_devices(capsys: pytest.CaptureFixture[str]) -> None:
-    code, out, _ = amslicer(capsys, "devices")
+    code, out, _ = run(capsys, "devices")
     assert code == 0
     assert ": works" in out
-    assert any(d["works"] for d in json.loads(amslicer(capsys, "devices", "--json")[1]))
+    assert any(d["works"] for d in json.loads(run(capsys, "devices", "--json")[1]))
 
 
 def test_version_and_help(capsys: pytest.CaptureFixture[str]) -> None:
-    assert amslicer(capsys, "--version") == (0, f"amslicer {__version__}\n", "")
+    assert run(capsys, "--version") == (0, f"amslicer {__version__}\n", "")
     for words in ((), ("--help",)):
-        code, out, err = amslicer(capsys, *words)
+        code, out, err = run(capsys, *words)
         assert (code, err) == (0, "")
         assert "amslicer PART --fields" in out
     for command in cli.COMMANDS:
@@ -189,6 +190,12 @@ MISTAKES: list[tuple[tuple[str, ...], int, str, str]] = [
     (("preview", "absent"), 6, "not a finished stack", ""),
     (("preview", "part.stl"), 2, "'part.stl' is a file", "slice it first"),
     (("convert", "absent"), 2, "not built yet", "--help"),
+    (("verfy", "stack"), 2, "no command and no part 'verfy'", "amslicer verify"),
+    ((*SLICE, "-o", ""), 2, "the folder's name is empty", "-o"),
+    ((*SLICE, "--set", "pattern.period=0.002"), 3, "needs", "period of at least 3 pixels"),
+    ((*SLICE, "--set", "pattern.period=1e9"), 3, "too large", "period"),
+    ((*SLICE, "--set", "pattern.impulses=0.5"), 2, "greater than or equal to 2", ""),
+    ((*SLICE, "--format", "grabcad"), 2, "but it is", "not built yet"),
     (("verify",), 2, "OUT", "--help"),
 ]
 
@@ -197,7 +204,7 @@ MISTAKES: list[tuple[tuple[str, ...], int, str, str]] = [
 def test_mistakes_are_told_in_one_line_and_a_hint(
     folder: Path, capsys: pytest.CaptureFixture[str], words: tuple[str, ...], code: int, message: str, hint: str
 ) -> None:
-    found, out, err = amslicer(capsys, *words)
+    found, out, err = run(capsys, *words)
     lines = err.splitlines()
     assert found == code, err
     assert out == ""
@@ -218,25 +225,78 @@ def test_an_unexpected_error_is_1_without_a_traceback(
 ) -> None:
     from amslicer import commands
 
-    def broken(options: object) -> int:
+    def broken(options: object, check: object) -> int:
         raise ZeroDivisionError("oh")
 
     monkeypatch.setattr(commands, "printers_command", broken)
-    code, _, err = amslicer(capsys, "printers")
+    code, _, err = run(capsys, "printers")
     assert code == 1
     assert "ZeroDivisionError: oh" in err
     assert "--debug" in err
 
 
+def test_a_swallowed_signal_stops_the_run_at_the_next_check(
+    folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Some libraries catch everything while they are imported."""
+    from amslicer import pipeline
+
+    prepare = pipeline.prepare
+
+    def swallows(job: amslicer.Job) -> pipeline.Prepared:
+        try:
+            os.kill(os.getpid(), signal.SIGINT)
+        except BaseException:
+            return prepare(job)
+        raise AssertionError("no signal arrived")
+
+    monkeypatch.setattr(pipeline, "prepare", swallows)
+    code, _, err = run(capsys, *SLICE, "-o", "stack")
+    assert code == 130
+    assert "the stack is not finished" in err
+    assert not (folder / "stack" / "manifest.json").exists()
+
+
+def test_a_printer_file_is_found_where_the_command_was_typed(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (folder / "jobs").mkdir()
+    (folder / "fields.yaml").rename(folder / "jobs" / "fields.yaml")
+    (folder / "mine.yaml").write_text("{pitch_um: 500, layer_um: 500}")
+    words = ("part.stl", "--fields", "jobs/fields.yaml", "--printer", "mine.yaml", "-o", "stack")
+    assert run(capsys, *words)[0] == 0
+    assert json.loads((folder / "stack" / "manifest.json").read_text())["grid"]["width_px"] == 16
+
+
+def test_the_exit_code_survives_a_closed_pipe(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    run(capsys, *SLICE, "-o", "stack")
+    (folder / "stack" / "rigid" / "00001.png").unlink()
+    reader, writer = os.pipe()
+    os.close(reader)
+    words = [sys.executable, "-m", "amslicer", "verify", "stack"]
+    done = subprocess.run(words, stdout=writer, stderr=subprocess.PIPE, text=True, check=False)
+    os.close(writer)
+    assert done.returncode == 7
+    assert "Traceback" not in done.stderr
+
+
+def test_interrupting_what_writes_nothing_does_not_advise_to_overwrite(
+    folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from amslicer import commands
+
+    monkeypatch.setattr(commands, "printers_command", lambda options, check: os.kill(os.getpid(), signal.SIGINT))
+    code, _, err = run(capsys, "printers")
+    assert (code, err) == (130, "error: interrupted\n")
+
+
 def test_preview_has_the_true_aspect(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     printer = "--set=printer={dpi: [600, 300], layer_mm: 0.25}"
-    amslicer(capsys, *SLICE, printer, "--set", "fields.ratio=1", "-o", "stack")
-    assert amslicer(capsys, "preview", "stack", "--layer", "2", "-o", "layer.png")[0] == 0
+    run(capsys, *SLICE, printer, "--set", "fields.ratio=1", "-o", "stack")
+    assert run(capsys, "preview", "stack", "--layer", "2", "-o", "layer.png")[0] == 0
     picture = Image.open("layer.png")
     # 8 × 6 mm at 600 × 300 dpi: 189 × 71 pixels, the rows drawn twice as high
     assert picture.size == (189, 142)
     assert np.all(np.asarray(picture)[40, 40] == (0x2B, 0x6C, 0xB0))  # the first material's default colour
-    code, _, err = amslicer(capsys, "preview", "stack", "--layer", "77")
+    code, _, err = run(capsys, "preview", "stack", "--layer", "77")
     assert code == 2
     assert "no layer 77" in err
 

@@ -557,35 +557,33 @@ def box_job(folder: Path, ratio: Any, **pattern: Any) -> Any:
 @pytest.mark.parametrize(
     ("ratio", "said"),
     [
-        # Pixel centres at 0.05, 0.15 … 2.95 mm: 0.1 + x leaves 1 first at x = 0.95.
-        ({"gradient": {"axis": "x", "from": 0.1, "to": 3.1}}, "fields.ratio is 1.05 at x = 0.95, y = 0.05"),
-        ({"gradient": {"axis": "y", "from": 1.0, "to": -1.0}}, "fields.ratio is -0.025 at x = 0.05, y = 2.05"),
-        ({"image": "a.png", "range": [0, 1.5]}, "fields.ratio is 1.5 at x = 2.25"),
-        ({"image": "a.png", "range": [-0.25, 1]}, "fields.ratio is -0.25 at x = 0.05"),
+        # The part lies at (7, 8, 9) mm in its file, pixel centres at 0.05 … 2.95 mm in it: 0.1 + x leaves 1 at 0.95.
+        ({"gradient": {"axis": "x", "from": 0.1, "to": 3.1}}, "fields.ratio is 1.05 at x = 7.95, y = 8.05"),
+        ({"gradient": {"axis": "y", "from": 1.0, "to": -1.0}}, "fields.ratio is -0.025 at x = 7.05, y = 10.05"),
+        ({"image": "a.png", "range": [0, 1.5]}, "fields.ratio is 1.1 at x = 8.35"),
+        ({"image": "a.png", "range": [-0.25, 1]}, "fields.ratio is -0.25 at x = 7.05"),
     ],
 )
 def test_a_ratio_outside_0_to_1_is_refused_with_its_place(tmp_path: Path, ratio: Any, said: str) -> None:
     (tmp_path / "a.png").write_bytes(png([[0, 0, 170, 255, 255, 255]]))
-    if "image" in ratio and ratio["range"][1] > 1:
-        # Texels of 0.5 mm; white, 1.5, from x = 1.75 on, and 1 at 1.25: 1 + (x - 1.25) leaves 1 at 1.35.
-        said = "fields.ratio is 1.1 at x = 1.35"
+    # Texels of 0.5 mm; with [0, 1.5] white is 1.5 from x = 1.75 on, and 1 at 1.25: 1 + (x - 1.25) leaves 1 at 1.35.
     prepared = prepare(box_job(tmp_path, ratio))
     with pytest.raises(JobError) as caught:
         prepared.painted.ratio_map(prepared.grid, 0)
     assert said in caught.value.message
-    assert "mm from the part's corner" in caught.value.message
+    assert "mm (file coordinates)" in caught.value.message
     assert caught.value.hint
 
 
 def test_a_ratio_that_leaves_with_the_height_is_refused_in_its_layer(tmp_path: Path) -> None:
     prepared = prepare(box_job(tmp_path, {"gradient": {"axis": "z", "from": 0.9, "to": 1.15}}))
     assert prepared.painted.ratio_depends_on_z
-    layers = [0, 1]  # 0.9 + 0.05 (l + ½): 1.025 in layer 2, at z = 0.25
+    layers = [0, 1]  # 0.9 + 0.05 (l + ½): 1.025 in layer 2, at 0.25 mm in the part
     for layer in layers:
         np.testing.assert_allclose(
             prepared.painted.ratio_map(prepared.grid, layer), 0.9 + 0.05 * (layer + 0.5), atol=1e-6
         )
-    with pytest.raises(JobError, match=r"fields\.ratio is 1\.025 at .* z = 0\.25 mm"):
+    with pytest.raises(JobError, match=r"fields\.ratio is 1\.025 at .* z = 9\.25 mm"):
         prepared.painted.ratio_map(prepared.grid, 2)
 
 

@@ -9,13 +9,14 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import meshes
 import numpy as np
 import parts
 import pytest
 from PIL import Image
 
 import amslicer
-from amslicer import Job, Run, StorageError, UsageError, storage
+from amslicer import Job, Run, StorageError, UsageError, stackfolder, storage
 
 SIZE_MM = (9.0, 6.0, 1.0)
 PRINTER = {"dpi": [300, 150], "layer_mm": 0.1, "margin_px": 3}
@@ -261,6 +262,105 @@ def test_a_full_disk_leaves_no_half_file(tmp_path: Path, block: Path, monkeypatc
             Image.open(tmp_path / "out" / name).load()
     amslicer.slice_job(block_job(block), tmp_path / "out", overwrite=True)
     assert amslicer.verify(tmp_path / "out").ok
+
+
+def test_overwrite_deletes_only_the_layers_that_the_manifest_lists(tmp_path: Path, block: Path) -> None:
+    out = tmp_path / "out"
+    amslicer.slice_job(block_job(block), out)
+    (out / "rigid" / "99999.png").write_text("mine")
+    with pytest.raises(UsageError, match="did not write it"):
+        amslicer.slice_job(block_job(block), out, overwrite=True)
+    assert (out / "rigid" / "99999.png").read_text() == "mine"
+
+
+def test_overwrite_follows_no_name_out_of_the_folder(tmp_path: Path, block: Path) -> None:
+    out, victim = tmp_path / "out", tmp_path / "victim"
+    amslicer.slice_job(block_job(block), out)
+    victim.mkdir()
+    (victim / "00001.png").write_text("mine")
+    job = (out / "job.yaml").read_text().replace("name: rigid", "name: ../victim")
+    (out / "job.yaml").write_text(job)
+    (out / "manifest.json").unlink()
+    with pytest.raises(UsageError, match="did not write it"):  # rigid's bitmaps are nobody's now
+        amslicer.slice_job(block_job(block), out, overwrite=True)
+    assert (victim / "00001.png").read_text() == "mine"
+
+
+@pytest.mark.parametrize("materials", ["materials:\n- a\n- b\n", "materials: null\n", "[\n"])
+def test_overwrite_of_an_edited_job_is_no_traceback(tmp_path: Path, block: Path, materials: str) -> None:
+    out = tmp_path / "out"
+    amslicer.slice_job(block_job(block), out)
+    (out / "job.yaml").write_text(stackfolder.JOB_HEADER + materials)
+    with pytest.raises(UsageError, match="did not write it"):
+        amslicer.slice_job(block_job(block), out, overwrite=True)
+
+
+def test_left_over_temporary_files_go_with_the_stack(tmp_path: Path, block: Path) -> None:
+    out = tmp_path / "out"
+    amslicer.slice_job(block_job(block), out)
+    (out / "manifest.json").unlink()
+    for name in ("manifest.json", "job.yaml", "rigid/00003.png"):
+        (out / (name + storage.TEMPORARY)).write_text("torn")
+    amslicer.slice_job(block_job(block), out, overwrite=True)
+    assert not [name for name in files(out) if name.endswith(storage.TEMPORARY)]
+
+
+def test_a_job_that_cannot_work_leaves_the_old_stack_alone(tmp_path: Path, block: Path) -> None:
+    amslicer.slice_job(block_job(block), tmp_path / "out")
+    before = files(tmp_path / "out")
+    for axis in "xz":
+        wrong = block_job(block, ratio={"gradient": {"axis": axis, "from": 0.5, "to": 1.5}})
+        with pytest.raises(amslicer.JobError, match="a ratio is between 0 and 1"):
+            amslicer.slice_job(wrong, tmp_path / "out", overwrite=True)
+    assert files(tmp_path / "out") == before
+
+
+def test_two_runs_in_one_folder_are_refused(tmp_path: Path, block: Path) -> None:
+    with (
+        stackfolder.opened_folder(tmp_path / "out", block_job(block), overwrite=False),
+        pytest.raises(UsageError, match="another amslicer is writing"),
+    ):
+        amslicer.slice_job(block_job(block), tmp_path / "out", overwrite=True)
+
+
+def test_a_part_without_a_solid_pixel_is_noted(tmp_path: Path) -> None:
+    thin = parts.box(tmp_path, (3.0, 0.01, 3.0))
+    result = amslicer.slice_job(block_job(thin), tmp_path / "out")
+    assert result.solid_pixels == 0
+    assert [(m.ratio, m.asked) for m in result.materials] == [(0, 0), (0, 0)]
+    assert any("no pixel is solid" in note for note in result.notes)
+    assert amslicer.verify(tmp_path / "out").ok
+
+
+def test_empty_layers_between_solid_ones_are_noted(tmp_path: Path) -> None:
+    low, high = (meshes.box((3.0, 3.0, 0.4), (0.0, 0.0, z)) for z in (0.0, 0.8))
+    part = parts.stl(tmp_path, meshes.joined(low, high))
+    result = amslicer.slice_job(block_job(part), tmp_path / "out")
+    assert any("4 layers between solid ones are empty, first 4" in note for note in result.notes)
+
+
+def test_overlapping_bodies_are_noted(tmp_path: Path) -> None:
+    part = parts.stl(tmp_path, meshes.joined(meshes.box((6.0, 6.0, 6.0)), meshes.box((6.0, 6.0, 6.0), (1.0, 1.0, 1.0))))
+    result = amslicer.slice_job(block_job(part), tmp_path / "out")
+    assert any("overlapping bodies count once" in note for note in result.notes)
+    alone = amslicer.slice_job(block_job(parts.box(tmp_path, (6.0, 6.0, 6.0))), tmp_path / "alone")
+    assert not any("overlapping" in note for note in alone.notes)
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"period": 0.4}, "sheets are lost"),
+        ({"ratio": 0.05, "period": 1.0}, "the thinnest sheets are 50 µm"),
+        (
+            {"ratio": {"gradient": {"axis": "x", "from": 0.5, "to": 0.95}}, "period": 1.0},
+            "the thinnest sheets are 50 µm",
+        ),
+    ],
+)
+def test_sheets_finer_than_pixels_are_noted(tmp_path: Path, block: Path, changes: dict[str, Any], said: str) -> None:
+    result = amslicer.slice_job(block_job(block, **changes), tmp_path / "out")
+    assert any(said in note for note in result.notes), result.notes
 
 
 def test_every_solid_pixel_has_one_material_and_no_other_pixel_any(tmp_path: Path, block: Path) -> None:

@@ -197,6 +197,21 @@ def test_margin_scale_and_rotation_are_understood(tmp_path: Path) -> None:
     assert report.materials["rigid"].expected == pytest.approx(asked, abs=1e-6)
 
 
+def test_fields_without_the_scale_that_the_command_line_gave(tmp_path: Path) -> None:
+    """The manifest says how the part was scaled; the fields that it is compared with need not."""
+    ratio = {"gradient": {"axis": "x", "from": 0.1, "to": 0.9}}
+    scaled = make_job(tmp_path, ratio=ratio, settings={"scale": 0.5, "rotate": [0, 0, 90]})
+    amslicer.slice_job(scaled, tmp_path / "out")
+    report = amslicer.verify(tmp_path / "out", make_job(tmp_path, ratio=ratio).name)
+    assert report.ok
+    assert report.materials["rigid"].expected == pytest.approx(0.5, abs=1e-3)
+
+
+def test_jobs_are_checked(stack: Path) -> None:
+    with pytest.raises(amslicer.UsageError, match="at least 1"):
+        amslicer.verify(stack, jobs=-1)
+
+
 HONEST = [(seed, dimensions) for seed in range(25) for dimensions in (2, 3)]
 
 

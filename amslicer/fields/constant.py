@@ -25,6 +25,11 @@ class ConstantSampler:
     varies: tuple[bool, bool, bool] = (False, False, False)
     texels: None = None
 
+    @property
+    def bounds(self) -> tuple[float, float]:
+        """The value, twice."""
+        return (self.value, self.value)
+
     def scalar(self, x: Floats, y: Floats, z: Floats) -> Floats:
         """The value, as a scalar array that broadcasts."""
         return np.asarray(self.value, np.float64)

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from amslicer.errors import JobError
 from amslicer.fields.source import Frame, Inputs, Number, Sampler, Source, blend
 
 if TYPE_CHECKING:
@@ -53,6 +54,12 @@ class GradientSource(Source):
         axis = AXES.index(g.axis)
         low = 0.0 if g.start is None else g.start - float(frame.minimum_mm[axis])
         high = float(frame.size_mm[axis]) if g.end is None else g.end - float(frame.minimum_mm[axis])
+        if low >= high and (g.start is None) != (g.end is None):
+            raise JobError(
+                f"a gradient along {g.axis} starts at {low + float(frame.minimum_mm[axis]):g} mm and ends at "
+                f"{high + float(frame.minimum_mm[axis]):g} mm (file coordinates): the other end is the part's own",
+                hint="give both start and end, within the part's box",
+            )
         return GradientSampler(axis, low, high, g.from_, g.to)
 
 
@@ -71,6 +78,11 @@ class GradientSampler:
     def varies(self) -> tuple[bool, bool, bool]:
         """Only along its axis."""
         return (self.axis == 0, self.axis == 1, self.axis == 2)
+
+    @property
+    def bounds(self) -> tuple[float, float]:
+        """Both ends' values."""
+        return (min(self.from_, self.to), max(self.from_, self.to))
 
     def scalar(self, x: Floats, y: Floats, z: Floats) -> Floats:
         """Values at points; as small as the axis' own coordinate array."""

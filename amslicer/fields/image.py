@@ -9,7 +9,7 @@ outside.
 
 from __future__ import annotations
 
-from collections.abc import Hashable
+from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
@@ -57,9 +57,9 @@ class ImageSource(Source):
         """The picture's path."""
         return (self.image,)
 
-    def with_paths(self, renamed: dict[str, str]) -> Source:
+    def with_paths(self, renamed: Mapping[str, str]) -> Source:
         """The same source with its picture elsewhere."""
-        return self.model_copy(update={"image": renamed[self.image]})
+        return self.model_copy(update={"image": renamed.get(self.image, self.image)})
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,6 +74,11 @@ class ImageSampler:
     def varies(self) -> tuple[bool, bool, bool]:
         """In x and y where there is more than one texel."""
         return (self.values.shape[1] > 1, self.values.shape[0] > 1, False)
+
+    @property
+    def bounds(self) -> tuple[float, float]:
+        """The smallest and the largest texel."""
+        return (float(self.values.min()), float(self.values.max()))
 
     @property
     def texels(self) -> Hashable:

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import hashlib
 import stat
-from collections.abc import Hashable
+from collections.abc import Hashable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Protocol
@@ -27,12 +26,16 @@ class Sampler(Protocol):
 
     Attributes:
         varies: whether the value depends on x, y, z.
+        bounds: no value is below the first or above the second.
         texels: identity of the sample grid behind `taps`; two samplers with equal texels can be combined
             texel by texel. None where there is no grid.
     """
 
     @property
     def varies(self) -> tuple[bool, bool, bool]: ...
+
+    @property
+    def bounds(self) -> tuple[float, float]: ...
 
     @property
     def texels(self) -> Hashable | None: ...
@@ -98,10 +101,6 @@ class Inputs:
                 ) from error
         return self.files[name]
 
-    def digests(self) -> dict[str, str]:
-        """SHA-256 of each file that was read."""
-        return {name: hashlib.sha256(content).hexdigest() for name, content in sorted(self.files.items())}
-
 
 class Source(BaseModel):
     """Base of the field sources' specifications, as written in the job file."""
@@ -116,7 +115,7 @@ class Source(BaseModel):
         """The files that the specification names."""
         return ()
 
-    def with_paths(self, renamed: dict[str, str]) -> Source:
+    def with_paths(self, renamed: Mapping[str, str]) -> Source:
         """The same source with its files at other paths."""
         return self
 

@@ -53,21 +53,29 @@ class Kernels:
 
 
 class Noise(Protocol):
-    """A noise with its parameters, ready to hand out kernels, one layer of cells (a sheet) after another."""
+    """A noise with its parameters, ready to hand out kernels, one layer of cells after another."""
 
     @property
-    def reach_mm(self) -> float:
+    def dimensions(self) -> int:
+        """2 or 3."""
+
+    @property
+    def radius_mm(self) -> float:
         """The largest radius of a kernel."""
 
-    def sheets(self, low_z_mm: float, high_z_mm: float) -> range:
+    @property
+    def density(self) -> float:
+        """Kernels per mm^dimensions."""
+
+    def cell_layers(self, low_z_mm: float, high_z_mm: float) -> range:
         """The layers of cells whose kernels can reach these heights; range(1) in 2D."""
 
-    def kernels(self, draw: DrawWords, sheet: int, low_mm: Floats, high_mm: Floats, normals: Normals) -> Kernels:
+    def kernels(self, draw: DrawWords, cell_layer: int, low_mm: Floats, high_mm: Floats, normals: Normals) -> Kernels:
         """The kernels of one layer of cells that reach a rectangle, in cell order.
 
         Args:
             draw: draws the random words of a box of cells.
-            sheet: index of the layer of cells.
+            cell_layer: index of the layer of cells.
             low_mm, high_mm: (2,) corners of the rectangle, pattern frame.
             normals: the painted normals at kernel centres.
         """
@@ -92,21 +100,21 @@ class Cells:
     per_cell: int
     dimensions: int
 
-    def sheets(self, low_z_mm: float, high_z_mm: float) -> range:
+    def cell_layers(self, low_z_mm: float, high_z_mm: float) -> range:
         """The layers of cells that overlap these heights."""
         if self.dimensions == 2:
             return range(1)
         return range(math.floor(low_z_mm / self.side_mm), math.floor(high_z_mm / self.side_mm) + 1)
 
     def impulses(
-        self, draw: DrawWords, seed: int, sheet: int, low_mm: Floats, high_mm: Floats
+        self, draw: DrawWords, seed: int, cell_layer: int, low_mm: Floats, high_mm: Floats
     ) -> tuple[Floats, Floats]:
-        """Places (N, 3) in mm and phases (N,) in rad of a sheet's impulses within a rectangle, in cell order."""
+        """Places (N, 3) in mm and phases (N,) in rad of one layer of cells within a rectangle, in cell order."""
         first = np.floor(low_mm / self.side_mm).astype(int)
         count = np.floor(high_mm / self.side_mm).astype(int) + 1 - first
-        corner = (int(first[0]), int(first[1]), sheet)
+        corner = (int(first[0]), int(first[1]), cell_layer)
         words = draw(corner, (int(count[0]), int(count[1]), 1), self.per_cell, seed)
-        z, y, x = np.meshgrid([sheet], *(first[a] + np.arange(count[a]) for a in (1, 0)), indexing="ij")
+        z, y, x = np.meshgrid([cell_layer], *(first[a] + np.arange(count[a]) for a in (1, 0)), indexing="ij")
         cell = np.stack([x, y, z], axis=-1)[:, :, :, None, :]
         place = ((cell + words[..., :3] * WORD) * self.side_mm).reshape(-1, 3)
         phase = words[..., 3].astype(np.float64).reshape(-1) * (WORD * 2 * np.pi)

@@ -57,25 +57,25 @@ class Phasor:
         return truncation_radius(self.width_per_mm, self.dimensions, TRUNCATION_ERROR)
 
     @property
+    def density(self) -> float:
+        """Kernels per mm^dimensions."""
+        return self.impulses * self.width_per_mm**self.dimensions
+
+    @property
     def cells(self) -> Cells:
         """Cells of about one envelope width, a whole number of impulses in each."""
         per_cell = max(1, round(self.impulses))
         side = (per_cell / self.impulses) ** (1 / self.dimensions) / self.width_per_mm
         return Cells(side, per_cell, self.dimensions)
 
-    @property
-    def reach_mm(self) -> float:
-        """All kernels have the same radius."""
-        return self.radius_mm
-
-    def sheets(self, low_z_mm: float, high_z_mm: float) -> range:
+    def cell_layers(self, low_z_mm: float, high_z_mm: float) -> range:
         """The layers of cells whose kernels can reach these heights."""
-        return self.cells.sheets(low_z_mm - self.radius_mm, high_z_mm + self.radius_mm)
+        return self.cells.cell_layers(low_z_mm - self.radius_mm, high_z_mm + self.radius_mm)
 
-    def kernels(self, draw: DrawWords, sheet: int, low_mm: Floats, high_mm: Floats, normals: Normals) -> Kernels:
+    def kernels(self, draw: DrawWords, cell_layer: int, low_mm: Floats, high_mm: Floats, normals: Normals) -> Kernels:
         """The kernels of one layer of cells that reach a rectangle, in cell order."""
         radius = self.radius_mm
-        place, phase = self.cells.impulses(draw, self.seed, sheet, low_mm - radius, high_mm + radius)
+        place, phase = self.cells.impulses(draw, self.seed, cell_layer, low_mm - radius, high_mm + radius)
         normal = normals(place)
         return Kernels(
             centre_mm=place,

@@ -7,12 +7,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from amslicer.grid import MM_PER_INCH
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from amslicer.layer import Layer
 
-MM_PER_INCH = 25.4
 # zlib levels. Thin stripes deflate to about the same size at every level; 1 is several times faster than 6.
 LEVELS = {"fast": 1, "small": 9}
 
