@@ -44,5 +44,4 @@ class Layer:
 
     def pixels(self) -> dict[str, int]:
         """Pixels per material."""
-        counts = np.bincount(self.labels.reshape(-1), minlength=len(self.materials) + 1)
-        return {name: int(counts[m + 1]) for m, name in enumerate(self.materials)}
+        return {name: int(np.count_nonzero(self.labels == m)) for m, name in enumerate(self.materials, 1)}
