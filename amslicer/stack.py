@@ -7,6 +7,7 @@ import io
 import time
 import warnings
 from collections.abc import Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, overload
@@ -119,11 +120,21 @@ def slice_job(
         pattern = prepared.pattern(device)
         records: list[LayerRecord] = []
         asked = 0.0
-        for batch in make_layers(prepared, pattern, pool, chosen, run.threads):
-            records.extend(pool.map(lambda made: _write_layer(out, made, prepared), batch))
-            asked += sum(made.asked for made in batch)
-            if progress:
-                progress(len(records), len(chosen))
+        with ThreadPoolExecutor(1) as disk:  # waits for the disk while the next batch is computed
+            written: Future[None] | None = None
+            for batch in make_layers(prepared, pattern, pool, chosen, run.threads):
+                encoded = list(pool.map(lambda made: _encode(made, prepared), batch))
+                if written:
+                    written.result()
+                if progress and records:
+                    progress(len(records), len(chosen))
+                written = disk.submit(_write, out, [files for _, files in encoded])
+                records.extend(record for record, _ in encoded)
+                asked += sum(made.asked for made in batch)
+            if written:
+                written.result()
+        if progress:
+            progress(len(records), len(chosen))
         digest = job.digest(prepared.mesh.sha256, device.label, __version__)
         manifest = describe_stack(prepared, records, asked, device=device.label, digest=digest, version=__version__)
         for name in job.materials:
@@ -133,15 +144,21 @@ def slice_job(
     return _result(out, manifest, prepared, time.monotonic() - started)
 
 
-def _write_layer(out: Path, made: Made, prepared: Prepared) -> LayerRecord:
+def _encode(made: Made, prepared: Prepared) -> tuple[LayerRecord, list[tuple[str, bytes]]]:
+    """A layer's record, and its files: (path in the stack, content)."""
     from amslicer.writers import WRITERS
 
     layer, output = made.layer, prepared.job.spec.output
-    sha256 = {}
-    for path, material, content in WRITERS[output.format](layer, prepared.grid.pitch_mm, output.compression):
-        write_atomically(out / path, content)
-        sha256[material] = hashlib.sha256(content).hexdigest()
-    return LayerRecord(layer.index, layer.z_mm, layer.pixels(), sha256)
+    files = WRITERS[output.format](layer, prepared.grid.pitch_mm, output.compression)
+    sha256 = {material: hashlib.sha256(content).hexdigest() for _, material, content in files}
+    record = LayerRecord(layer.index, layer.z_mm, layer.pixels(), sha256)
+    return record, [(path, content) for path, _, content in files]
+
+
+def _write(out: Path, layers: list[list[tuple[str, bytes]]]) -> None:
+    for files in layers:
+        for path, content in files:
+            write_atomically(out / path, content)
 
 
 def _result(out: Path, manifest: dict[str, Any], prepared: Prepared, seconds: float) -> Result:
