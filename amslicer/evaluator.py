@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
 
 ROWS = 4  # pixel rows per work-item: with 8-float vectors, 8 accumulators of 16 registers
-BLOCK = 32
+BLOCK = 24  # kernels staged at a time: with the sums of a tile they fit the first-level cache (32 kB)
 # cl/tile.h: struct Axis
 AXIS = np.dtype([("offset", np.float32), ("wave", np.float32), ("tile", np.int32)])
 
