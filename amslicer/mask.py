@@ -134,8 +134,6 @@ def expand(item: Ints, first: Ints, count: Ints) -> tuple[Ints, Ints]:
     return item[repeated], first[repeated] + (np.arange(len(repeated)) - before[repeated])
 
 
-# Where an edge's ends differ by rounding alone, the plane of the layer that they straddle may lie beyond both: the
-# crossing is held between them, or it would be far outside the part.
 def _segments(corners: Floats, layer: Ints, layer_mm: float) -> tuple[Floats, Floats]:
     """Where triangles cross the planes of layers: directed segments (N, 2), the solid on their left."""
     plane = centre_mm(layer, layer_mm)
@@ -151,6 +149,8 @@ def _segments(corners: Floats, layer: Ints, layer_mm: float) -> tuple[Floats, Fl
         low = np.where(b_above[:, None], a, b)
         high = np.where(b_above[:, None], b, a)
         height = high[:, 2] - low[:, 2]
+        # Where the ends differ by rounding alone, the plane that they straddle may lie beyond both: unclipped, the
+        # crossing would be far outside the part.
         share = np.clip((plane - low[:, 2]) / np.where(height == 0, 1.0, height), 0.0, 1.0)
         points[:, edge] = low[:, :2] + share[:, None] * (high[:, :2] - low[:, :2])
     # An outward triangle is entered from below along one edge and left along another: the segment runs from

@@ -171,11 +171,12 @@ class Pattern:
     def labels(self, runs: Runs, first: int) -> NDArray[np.uint8]:
         """Labels of the layers first, first + 1, …: 0 empty, m = material m.
 
-        Returns:
-            (layers, rows, columns) uint8, row 0 = lowest y.
-
         Args:
             runs: the solid pixels; the layers lie in one layer of tiles.
+            first: index of the first of them.
+
+        Returns:
+            (layers, rows, columns) uint8, row 0 = lowest y.
         """
         rows, columns = self._padded
         labels = np.zeros((runs.layers, rows, columns), np.uint8)
