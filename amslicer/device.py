@@ -152,14 +152,12 @@ class Device:
             self._kernels[key] = cl.Kernel(build(self.context, self.device, file, constants or {}), file)
         return self._kernels[key]
 
-    def run(self, kernel: Any, size: int | tuple[int, int], *arguments: Any) -> None:
-        """Enqueues a kernel over at least `size` work-items along x; the kernel ignores those beyond.
+    def run(self, kernel: Any, size: int, *arguments: Any) -> None:
+        """Enqueues a kernel over at least `size` work-items; the kernel ignores those beyond.
 
         The work-group size is fixed: drivers such as PoCL compile anew for every size that they meet.
         """
-        x, *rest = size if isinstance(size, tuple) else (size,)
-        padded = -(-x // GROUP) * GROUP
-        kernel(self.queue, (padded, *rest), (GROUP, *(1 for _ in rest)), *arguments)
+        kernel(self.queue, (-(-size // GROUP) * GROUP,), (GROUP,), *arguments)
 
     def buffer(self, array: NDArray[Any]) -> Any:
         """A read-only device copy of `array` (at least one byte long)."""

@@ -149,9 +149,10 @@ class Evaluator:
         factors = self.device.scratch("along_z", 8 * count * len(kernels))
         if len(kernels):
             self.device.run(
-                self.device.kernel("along_z"), (len(kernels), count), factors,
+                self.device.kernel("along_z", self._work_shape), len(kernels), factors,
                 self.device.buffer(np.stack(columns, axis=-1).astype(np.float32)), self._shape,
-                np.uint32(len(kernels)), np.float32(self.grid.layer_mm), np.uint32(in_block), np.uint32(self.planar),
+                np.uint32(len(kernels)), np.uint32(count), np.float32(self.grid.layer_mm), np.uint32(in_block),
+                np.uint32(self.planar),
             )  # fmt: skip
         self._along = ((first, count), factors)
         return factors

@@ -65,7 +65,11 @@ class Run:
     @property
     def threads(self) -> int:
         """Number of threads for the host's share of the work."""
-        return self.jobs or len(os.sched_getaffinity(0))
+        if self.jobs:
+            return self.jobs
+        if hasattr(os, "sched_getaffinity"):  # what this process may use; not every system tells
+            return len(os.sched_getaffinity(0))
+        return os.cpu_count() or 1
 
 
 @dataclass(frozen=True)

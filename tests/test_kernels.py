@@ -132,8 +132,9 @@ def test_tables(device: Device, count: int, shape: tuple[int, int]) -> None:
 
 
 @pytest.mark.parametrize("count", SIZES)
-@pytest.mark.parametrize(("layers", "first"), [(1, 0), (1, 15), (3, 7), (16, 0)])
-def test_along_z(device: Device, count: int, layers: int, first: int) -> None:
+@pytest.mark.parametrize("shape", SHAPES[:2], ids=str)
+@pytest.mark.parametrize(("layers", "first"), [(1, 0), (1, 15), (3, 7), (16, 0), (9, 2)])
+def test_along_z(device: Device, count: int, layers: int, first: int, shape: tuple[int, int]) -> None:
     layer_mm = np.float32(0.027)
     centre, wave, decay, radius = some_kernels(count, 100 + count, 32, 0.1)
     phase = np.random.default_rng(count).uniform(0, 2 * np.pi, count).astype(np.float32)
@@ -142,10 +143,10 @@ def test_along_z(device: Device, count: int, layers: int, first: int) -> None:
         got = np.full((layers, count), np.nan, np.complex64)
         buffer = device.empty(got.nbytes)
         device.run(
-            device.kernel("along_z"), (count, layers), buffer,
+            device.kernel("along_z", constants(device, shape)), count, buffer,
             device.buffer(np.stack([-centre, wave, phase, decay], axis=-1)),
-            device.buffer(np.stack([decay, radius], axis=-1)), np.uint32(count), layer_mm, np.uint32(first),
-            np.uint32(planar),
+            device.buffer(np.stack([decay, radius], axis=-1)), np.uint32(count), np.uint32(layers), layer_mm,
+            np.uint32(first), np.uint32(planar),
         )  # fmt: skip
         device.read(buffer, got)
         h, w, f, a, r = (v.astype(np.float64) for v in (-centre, wave, phase, decay, radius))
