@@ -17,6 +17,7 @@ from typing import Any, NoReturn
 from amslicer import __version__
 from amslicer.errors import (
     EXIT_INTERRUPTED,
+    EXIT_OK,
     EXIT_TERMINATED,
     EXIT_UNEXPECTED,
     AmslicerError,
@@ -102,7 +103,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if writing:
             _say("hint: run the same command again with --overwrite")
         return stopped.code
+    except BrokenPipeError:  # whoever read our output has left
+        return EXIT_OK
     except OSError as error:  # files of ours raise StorageError: this is the terminal's end, or the pipe's
+        if debug:
+            raise
         _say(f"error: the output cannot be written: {error.strerror or error}")
         return StorageError.exit_code
     except Exception as error:

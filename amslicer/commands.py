@@ -48,13 +48,19 @@ def slice_command(options: Namespace, check: Callable[[], None]) -> int:
 
     with report.progress_bar("slicing", "layers", quiet=options.quiet) as show:
         result = slice_job(job, out, run=run, overwrite=options.overwrite, progress=_checked(show, check))
+    _show(options, report.result_dict(result), lambda: report.print_result(result))
+    return 0
+
+
+def _show(options: Namespace, data: Any, table: Callable[[], None]) -> None:
+    """Prints a result as --json, --quiet or neither asks for; whoever reads it may leave early."""
+    from amslicer import report
+
     with report.a_reader_may_leave():
         if options.json:
-            print(json.dumps(report.result_dict(result)))
+            print(json.dumps(data))
         elif not options.quiet:
-            report.print_notes(result.notes)
-            report.print_result(result)
-    return 0
+            table()
 
 
 def _checked(show: Progress | None, check: Callable[[], None]) -> Progress:
@@ -103,11 +109,7 @@ def _dry_run(job: Job, run: Run, options: Namespace) -> int:
     from amslicer.pipeline import estimate
 
     found = estimate(job, run, DRY_RUN_SAMPLES)
-    if options.json:
-        print(json.dumps(vars(found)))
-    elif not options.quiet:
-        report.print_notes(found.notes)
-        report.print_estimate(found)
+    _show(options, vars(found), lambda: report.print_estimate(found))
     return 0
 
 
@@ -120,11 +122,7 @@ def verify_command(options: Namespace, check: Callable[[], None]) -> int:
 
     with report.progress_bar("verifying", "layers", quiet=options.quiet) as show:
         found = verify_stack(options.out, options.fields, jobs=options.jobs, progress=_checked(show, check))
-    with report.a_reader_may_leave():
-        if options.json:
-            print(json.dumps(found.as_dict()))
-        elif not options.quiet:
-            report.print_report(found)
+    _show(options, found.as_dict(), lambda: report.print_report(found))
     return 0 if found.ok else CheckFailed.exit_code
 
 
@@ -168,10 +166,7 @@ def devices_command(options: Namespace, check: Callable[[], None]) -> int:
     from amslicer.device import INSTALL_HINT, list_devices
 
     devices = list_devices(refresh=options.refresh)
-    if options.json:
-        print(json.dumps([{**vars(d), "works": d.works} for d in devices]))
-    elif not options.quiet:
-        report.print_devices(devices)
+    _show(options, [{**vars(d), "works": d.works} for d in devices], lambda: report.print_devices(devices))
     if not any(d.works for d in devices):
         if options.quiet:
             return DeviceError.exit_code
@@ -186,10 +181,8 @@ def printers_command(options: Namespace, check: Callable[[], None]) -> int:
     from amslicer.specification import Printer
 
     printers = [Printer.model_validate(read_printer(name, Path())) for name in printer_names()]
-    if options.json:
-        print(json.dumps([{"name": p.name, "pitch_mm": p.pitch_mm, "layer_mm": p.layer_height_mm} for p in printers]))
-    else:
-        report.print_printers(printers)
+    rows = [{"name": p.name, "pitch_mm": p.pitch_mm, "layer_mm": p.layer_height_mm} for p in printers]
+    _show(options, rows, lambda: report.print_printers(printers))
     return 0
 
 

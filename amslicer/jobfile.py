@@ -31,8 +31,6 @@ UNBUILT_KEYS = (
     "bodies",
 )
 UNBUILT_VALUES = ("grabcad", "gcvf", "sl1", "tiff", "zarr", "vti", "nrrd", "3mf", "svx", "xz", "yz")
-# Pairs of keys that say the same thing: setting one takes the other away.
-ALTERNATIVES = (("dpi", "pitch_um"), ("layer_mm", "layer_um"))
 
 
 @dataclass
@@ -103,8 +101,10 @@ def _override(content: dict[str, Any], path: tuple[str, ...], value: Any, origin
                 hint=f"set the whole of it: {above}=…",
             )
     if parents == ["printer"]:
+        from amslicer.specification import ALTERNATIVES
+
         for pair in ALTERNATIVES:
-            if last in pair:
+            if last in pair:  # setting one takes the other away
                 for key in pair:
                     node.pop(key, None)
     node[last] = value

@@ -12,7 +12,7 @@ import numpy as np
 from amslicer.errors import StorageError
 from amslicer.grid import Grid
 from amslicer.placement import Placement
-from amslicer.storage import storage_errors
+from amslicer.storage import JOB_FILE, MANIFEST, storage_errors
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from amslicer.pipeline import Prepared
 
 FORMAT, VERSION = "amslicer-stack", 1
-MANIFEST, JOB_FILE, INPUTS = "manifest.json", "job.yaml", "inputs"
 
 
 @dataclass(frozen=True)
@@ -115,7 +114,9 @@ def read_manifest(folder: Path) -> dict[str, Any]:
             raise StorageError(
                 f"'{file}' is {manifest['format']} version {manifest['version']}; this reads {FORMAT} version {VERSION}"
             )
-        grid_of(manifest), placement_of(manifest), records_of(manifest)
+        grid_of(manifest), placement_of(manifest)
+        if not records_of(manifest):
+            raise ValueError("it lists no layer")
     except (ValueError, KeyError, TypeError, IndexError, AttributeError) as error:
         raise StorageError(f"'{file}' is damaged: {error!r}", hint="slice the part again") from error
     return dict(manifest)
@@ -136,6 +137,8 @@ def placement_of(manifest: dict[str, Any]) -> Placement:
     part = manifest["part"]
     matrix = np.array(part["transform"], float)
     scale = float(np.cbrt(np.linalg.det(matrix[:3, :3])))
+    if not scale > 0:
+        raise ValueError(f"the transform scales by {scale}")
     low_corner, high_corner = np.array(part["bbox_mm"], float)
     file_minimum = np.array(part["file_bbox_mm"][0], float)
     low = low_corner - matrix[:3, 3] - matrix[:3, :3] @ file_minimum

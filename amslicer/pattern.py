@@ -159,8 +159,7 @@ class Pattern:
         self._padded = tuple(tiling.pixels * count for count in tiles_over(grid, tiling.pixels))
         self._planar_field: PlanarField | None = None
         self._thresholds: Any = None
-        self._graded: tuple[tuple[int, int], list[Any]] | None = None
-        self._ratio: NDArray[np.float32] | None = None
+        self._ratio: dict[int, NDArray[np.float32]] = {}
         self._running: Floats | None = None
         self._cell_layers: dict[int, Kernels] = {}
         # What is ever looked at, margin included, in whole tiles: kernels are kept for all of it.
@@ -183,6 +182,8 @@ class Pattern:
         tiles, needed = needed_tiles(runs, self.tiling.pixels, ROWS)
         if len(tiles):
             self._label_tiles(labels, runs, tiles, needed, first)
+        if self.painted.ratio_depends_on_z:
+            self._ratio.clear()
         return labels[:, : self.grid.rows, : self.grid.columns]
 
     def asked(self, runs: Runs, first: int) -> list[float]:
@@ -205,12 +206,11 @@ class Pattern:
         return self._running
 
     def ratio(self, layer: int) -> NDArray[np.float32]:
-        """(rows, columns) painted ratio of a layer, kept where it is the same in every layer."""
-        if self.painted.ratio_depends_on_z:
-            return self.painted.ratio_map(self.grid, layer)
-        if self._ratio is None:
-            self._ratio = self.painted.ratio_map(self.grid, 0)
-        return self._ratio
+        """(rows, columns) painted ratio of a layer; made once, and kept until the layer is labelled."""
+        key = layer if self.painted.ratio_depends_on_z else 0
+        if key not in self._ratio:
+            self._ratio[key] = self.painted.ratio_map(self.grid, key)
+        return self._ratio[key]
 
     def field(self, layer: int, *, per_pixel: bool = False) -> NDArray[np.complex64]:
         """G at every pixel of a layer, margin included: (height, width) complex64, row 0 = lowest y."""
@@ -245,6 +245,7 @@ class Pattern:
         # Few enough tiles at a time for their G to stay in the cache between the noise and the profile.
         layers = 1 if planar else runs.layers
         at_once = max(1, FIELD_BYTES // (8 * tile * tile * layers))
+        graded = list(self._threshold_buffers(first, runs.layers))
         for start in range(0, len(tiles), at_once):
             some = tiles[start : start + at_once]
             if planar:
@@ -254,7 +255,7 @@ class Pattern:
                 field, slots = evaluator.field(first, layers, range(start, start + len(some)))
             profiled = device.buffer(some), device.buffer(slots)
             field_tiles = np.uint32(planar.slot_of_tile.size if planar else len(some))
-            for layer, count, thresholds in self._threshold_buffers(first, runs.layers):
+            for layer, count, thresholds in graded:
                 device.kernel("profile", work_shape(device, self.tiling))(
                     device.queue, (tile, len(some), count), (tile, 1, 1), out, field, solid, thresholds, *profiled,
                     np.uint32(1), np.array(self._padded[::-1], np.uint32), field_tiles, np.uint32(layers),
@@ -340,10 +341,8 @@ class Pattern:
                 self._thresholds = self._threshold_buffer(first)
             yield 0, count, self._thresholds
             return
-        if self._graded is None or self._graded[0] != (first, count):
-            self._graded = ((first, count), [self._threshold_buffer(first + i) for i in range(count)])
-        for layer, thresholds in enumerate(self._graded[1]):
-            yield layer, 1, thresholds
+        for layer in range(count):
+            yield layer, 1, self._threshold_buffer(first + layer)
 
     def _threshold_buffer(self, layer: int) -> Any:
         padded = np.zeros(self._padded, np.float32)

@@ -31,10 +31,10 @@ if TYPE_CHECKING:
 
 Progress = Callable[[int, int], None]
 
-# Masks, labels and (where the ratio changes with z) thresholds of one batch of layers: bounds memory, changes no
-# byte.
+# Masks, labels and (where the ratio changes with z) ratios and thresholds of one batch of layers: bounds memory,
+# changes no byte.
 BATCH_BYTES = 1 << 27
-MASK_BYTES, THRESHOLD_BYTES = 2, 4  # per pixel
+MASK_BYTES, GRADED_BYTES = 2, 8  # per pixel
 # One layer's thresholds, masks and labels take about 10 bytes per pixel; Pillow reads no larger pictures back.
 MAX_LAYER_PIXELS = 170_000_000
 MAX_LAYERS = 1_000_000
@@ -265,7 +265,7 @@ def make_layers(
 
 def batches(chosen: range, grid: Grid, tiling: Tiling, *, flat_ratio: bool) -> Iterator[tuple[int, int]]:
     """Half-open runs of layers, none across a border of tiles, each within the memory bound."""
-    bytes_per_pixel = MASK_BYTES + (0 if flat_ratio else THRESHOLD_BYTES)
+    bytes_per_pixel = MASK_BYTES + (0 if flat_ratio else GRADED_BYTES)
     at_once = max(1, min(tiling.layers, BATCH_BYTES // (bytes_per_pixel * grid.columns * grid.rows)))
     first = chosen.start
     while first < chosen.stop:

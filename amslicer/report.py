@@ -78,7 +78,8 @@ def print_notes(notes: Sequence[str]) -> None:
 
 
 def print_result(result: Result) -> None:
-    """The summary of a slice."""
+    """The summary of a slice, after its notes."""
+    print_notes(result.notes)
     rows = [
         (
             m.name, f"{m.pixels:,}", f"{m.volume_mm3:,.2f}", "-" if m.grams is None else f"{m.grams:.3f}",
@@ -110,7 +111,8 @@ def result_dict(result: Result) -> dict[str, Any]:
 
 
 def print_estimate(found: Estimate) -> None:
-    """What --dry-run found."""
+    """What --dry-run found, after its notes."""
+    print_notes(found.notes)
     rows = [
         ("bitmap", f"{found.width_px} × {found.height_px} px"),
         ("layers", f"{found.layers}"),

@@ -1,7 +1,7 @@
 """The job file's language: every key, its type, range and default, as validated frozen data.
 
-What a key means is said once, in its description here; messages, the starter file and the documentation
-read it from here.
+What a key means is said once, in its description here. Messages take keys and ranges from here, the starter file
+its defaults.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, field_val
 from amslicer.fields import FieldSpec
 from amslicer.fields.source import Number
 from amslicer.grid import MM_PER_INCH
+from amslicer.storage import INPUTS, JOB_FILE, MANIFEST
 
 Whole = Annotated[int, Field(strict=True)]
 Flag = Annotated[bool, Field(strict=True)]
@@ -23,10 +24,12 @@ MIN_IMPULSES = 2  # fewer kernels leave empty places, where there is no phase an
 MIN_PITCH_MM, MAX_PITCH_MM = 1e-4, 1e3  # finer than light, coarser than a part: a mistake
 # Folder names on every file system, and the names of the stack's own entries.
 MATERIAL_NAME = r"^[A-Za-z0-9][A-Za-z0-9 _.+-]{0,63}$"
-RESERVED_NAMES = ("inputs", "manifest.json", "job.yaml")
+RESERVED_NAMES = (INPUTS, MANIFEST, JOB_FILE)
 # Distinct colours for materials that are given without one (the first two are the README's).
 DEFAULT_COLORS = ("#2b6cb0", "#f6ad55", "#38a169", "#e53e3e", "#805ad5", "#d69e2e", "#319795", "#718096")
 
+# Pairs of a printer's keys that say the same thing.
+ALTERNATIVES = (("dpi", "pitch_um"), ("layer_mm", "layer_um"))
 NOISE_NAMES = (
     "phasor", "gabor", "gabor-isotropic", "phacelle", "phacelle-simple", "wave", "wave-cellular",
     "wave-polytope", "wave-stit", "wave-by-example", "random-phase", "asymptotic-spot",
@@ -53,7 +56,7 @@ class Printer(Model):
 
     @model_validator(mode="after")
     def _one_of_each(self) -> Printer:
-        for pair in (("dpi", "pitch_um"), ("layer_mm", "layer_um")):
+        for pair in ALTERNATIVES:
             given = [key for key in pair if getattr(self, key) is not None]
             if len(given) != 1:
                 raise ValueError(f"needs exactly one of {pair[0]} and {pair[1]}, but has {len(given)}")

@@ -17,7 +17,6 @@ import numpy as np
 from amslicer.errors import StorageError
 from amslicer.layer import Layer
 from amslicer.manifest import (
-    MANIFEST,
     LayerRecord,
     describe_stack,
     grid_of,
@@ -25,7 +24,7 @@ from amslicer.manifest import (
     records_of,
 )
 from amslicer.stackfolder import opened_folder
-from amslicer.storage import json_bytes, storage_errors, sync_folder, write_atomically
+from amslicer.storage import MANIFEST, json_bytes, storage_errors, sync_folder, write_atomically
 from amslicer.writers.png import layer_path
 
 if TYPE_CHECKING:

@@ -11,9 +11,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from amslicer.errors import JobError, UsageError
-from amslicer.manifest import INPUTS, JOB_FILE, MANIFEST
 from amslicer.specification import MATERIAL_NAME
-from amslicer.storage import TEMPORARY, locked, storage_errors, write_atomically
+from amslicer.storage import INPUTS, JOB_FILE, MANIFEST, TEMPORARY, locked, storage_errors, write_atomically
 from amslicer.writers.png import layer_path
 
 if TYPE_CHECKING:

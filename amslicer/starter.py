@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from amslicer.fields import SOURCES
+from amslicer.jobfile import DEFAULT_PRINTER
+from amslicer.noise.phasor import DEFAULT_IMPULSES
 from amslicer.printers import printer_names
+from amslicer.specification import DEFAULT_COLORS, Output, Pattern
 
 STARTER = """\
 # A job for amslicer: `amslicer part.stl --fields {name} -o out`
 # Lengths are mm and angles degrees. What is commented out shows the default.
 
-printer: generic-600dpi            # {printers}
+printer: {printer}            # {printers}
                                    # or a .yaml file, or inline: {{dpi: [600, 300], layer_mm: 0.027}},
                                    # {{pitch_um: [42.3, 84.7], layer_um: 27, margin_px: 0}}
 # part:
@@ -19,18 +22,18 @@ printer: generic-600dpi            # {printers}
 #   on_bed: true                   # lowest point to z = 0
 
 materials:                         # two; the first is what fields.ratio counts
-  - {{name: rigid,    color: "#2b6cb0", density_g_cm3: 1.18}}
-  - {{name: flexible, color: "#f6ad55", density_g_cm3: 1.12}}
+  - {{name: rigid,    color: "{colors[0]}", density_g_cm3: 1.18}}
+  - {{name: flexible, color: "{colors[1]}", density_g_cm3: 1.12}}
 
 pattern:
-  # noise: phasor
-  dimensions: 3                    # 3: solid laminate; 2: the same pattern in every layer
-  period: 1.0                      # mm from one sheet of a material to the next
-  bandwidth: 0.5                   # smaller: straighter, more regular sheets; larger: quicker to turn
-  # impulses: 4                    # kernels per bandwidth^dimensions
-  # profile: pwm
-  # evaluate: lattice              # or exact; this version evaluates both exactly
-  seed: 1                          # another seed, another laminate of the same kind
+  # noise: {pattern.noise}
+  dimensions: {pattern.dimensions}                    # 3: solid laminate; 2: the same pattern in every layer
+  period: {pattern.period}                      # mm from one sheet of a material to the next
+  bandwidth: {pattern.bandwidth}                   # smaller: straighter, more regular sheets; larger: quicker to turn
+  # impulses: {impulses:g}                    # kernels per bandwidth^dimensions
+  # profile: {pattern.profile}
+  # evaluate: {pattern.evaluate}              # or exact; this version evaluates both exactly
+  seed: {pattern.seed}                          # another seed, another laminate of the same kind
 
 fields:
   # A field is a number, or one of ({sources}):
@@ -43,10 +46,13 @@ fields:
                                    # {{azimuth: FIELD, elevation: FIELD}}
   # isotropy: 0
 
-# output: {{format: png, compression: fast}}          # compression: fast or small
+# output: {{format: {output.format}, compression: {output.compression}}}          # compression: fast or small
 """
 
 
 def starter_file(name: str) -> str:
     """The text of a commented job file, to be written under this name."""
-    return STARTER.format(name=name, printers=", ".join(printer_names()), sources=", ".join(SOURCES))
+    return STARTER.format(
+        name=name, printer=DEFAULT_PRINTER, printers=", ".join(printer_names()), sources=", ".join(SOURCES),
+        colors=DEFAULT_COLORS, pattern=Pattern(), impulses=DEFAULT_IMPULSES, output=Output(),
+    )  # fmt: skip

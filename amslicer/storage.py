@@ -13,6 +13,8 @@ from typing import Any
 
 from amslicer.errors import StorageError, UsageError
 
+# The entries of a stack beside its materials' folders.
+MANIFEST, JOB_FILE, INPUTS = "manifest.json", "job.yaml", "inputs"
 TEMPORARY = ".amslicer-tmp"  # suffix of files on their way
 HINTS = {
     errno.ENOSPC: "make space on the disk and run again with --overwrite",

@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from amslicer.errors import AmslicerError, StorageError
-from amslicer.manifest import JOB_FILE, LayerRecord, placement_of
+from amslicer.errors import AmslicerError, JobError, StorageError
+from amslicer.manifest import LayerRecord, placement_of
 from amslicer.pattern import Painted, open_fields
 from amslicer.stack import Stack, decode_bitmap
-from amslicer.storage import storage_errors
+from amslicer.storage import JOB_FILE, storage_errors
 from amslicer.writers.png import layer_path
 
 if TYPE_CHECKING:
@@ -201,8 +201,6 @@ def _job_of(stack: Stack, fields: str | os.PathLike[str] | None) -> Job:
         raise StorageError(f"'{own}' is missing", hint="name the fields to compare with: --fields FIELDS.yaml")
     job = load_job(own if fields is None else fields, part=stack.manifest["part"]["file"])
     if job.materials != stack.materials:
-        from amslicer.errors import JobError
-
         raise JobError(
             f"{job.name}: the materials are {', '.join(job.materials)}, but the stack has {', '.join(stack.materials)}"
         )

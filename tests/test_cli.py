@@ -278,6 +278,22 @@ def test_the_exit_code_survives_a_closed_pipe(folder: Path, capsys: pytest.Captu
     assert "Traceback" not in done.stderr
 
 
+def test_output_that_cannot_be_written_is_6(folder: Path) -> None:
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run(
+            [sys.executable, "-m", "amslicer", "printers"], stdout=full, stderr=subprocess.PIPE, text=True, check=False
+        )
+    assert done.returncode == 6
+    assert "the output cannot be written" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_quiet_is_kept_by_every_command_that_takes_it(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    run(capsys, *SLICE, "-o", "stack", "--quiet")
+    for words in (("printers",), ("devices",), ("verify", "stack"), ("preview", "stack"), (*SLICE, "--dry-run")):
+        assert run(capsys, *words, "--quiet") == (0, "", "")
+
+
 def test_interrupting_what_writes_nothing_does_not_advise_to_overwrite(
     folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

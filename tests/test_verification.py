@@ -162,6 +162,16 @@ def test_a_damaged_manifest_is_an_error_not_a_traceback(stack: Path, damage: str
         amslicer.verify(stack)
 
 
+@pytest.mark.parametrize(("key", "value"), [("layers", []), ("part", {"transform": [[0] * 4] * 4})])
+def test_a_manifest_that_describes_nothing_is_damaged(stack: Path, key: str, value: Any) -> None:
+    def empty(manifest: dict[str, Any]) -> None:
+        manifest[key] = value if isinstance(value, list) else manifest[key] | value
+
+    rewrite(stack, empty)
+    with pytest.raises(amslicer.StorageError, match="damaged"):
+        amslicer.verify(stack)
+
+
 def test_a_folder_without_a_stack_is_an_error(tmp_path: Path) -> None:
     with pytest.raises(amslicer.StorageError, match="not a finished stack"):
         amslicer.verify(tmp_path)
