@@ -39,6 +39,7 @@ def main() -> None:
     found["forms"] = {f"{d}D": measure("forms", d) for d in (2, 3)}
     found["stages"] = {str(jobs): measure("stages", jobs, first, end) for jobs in (1, 2)}
     found["whole"] = {str(jobs): measure("whole", jobs, first, end) for jobs in (1, 2)}
+    found["encode"] = measure("encode")
     middle = (first + end) // 2
     found["memory"] = {str(n): measure("whole", "all", middle - n // 2, middle + n // 2) for n in (32, 64)}
     rows = list(table(found))
@@ -69,6 +70,12 @@ def table(found: dict[str, Any]) -> Any:
         speed = stage["solid"] / stage["evaluate_s"] / 1e6
         yield f"{part}: exact evaluation, --jobs {jobs}", f"{speed:.1f} solid Mpx/s ({stage['evaluate_s']:.1f} s)"
     yield "exact evaluation, --jobs 2 over 1", f"{one['evaluate_s'] / two['evaluate_s']:.2f} ×"
+    png = found["encode"]
+    height, width = png["shape"]
+    yield (
+        f"PNG of one material of one layer, {width} × {height} pixels",
+        f"{png['ours_ms']:.1f} ms; Pillow at the same level {png['pillow_ms']:.1f} ms",
+    )
     one, two = found["whole"]["1"], found["whole"]["2"]
     for jobs, whole in (("1", one), ("2", two)):
         speed = whole["solid"] / whole["seconds"] / 1e6

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import resource
 import sys
@@ -88,6 +89,23 @@ def forms(dimensions: int) -> dict[str, Any]:
     return result
 
 
+def encode() -> dict[str, Any]:
+    """One material's bitmap of the insole's fullest layer as PNG, by our writer and by Pillow at the same level."""
+    from PIL import Image
+
+    from amslicer.writers.png import LEVELS, encode_png
+
+    layer = next(amslicer.layers(insole(), Run(layers=(88, 89))))
+    deposit, level = layer.labels == 1, LEVELS["fast"]
+
+    def pillow() -> None:
+        picture = Image.frombytes("1", deposit.shape[::-1], np.packbits(deposit, axis=1).tobytes())
+        picture.save(io.BytesIO(), "PNG", compress_level=level)
+
+    ours = repeat(lambda: encode_png(deposit, (0.0423, 0.0423), level))
+    return {"shape": deposit.shape, "ours_ms": 1000 * ours, "pillow_ms": 1000 * repeat(pillow)}
+
+
 def repeat(work: Callable[[], Any], times: int = 5) -> float:
     """Median seconds of a few runs, the first not counted."""
     seconds = []
@@ -101,4 +119,4 @@ def repeat(work: Callable[[], Any], times: int = 5) -> float:
 if __name__ == "__main__":
     name, *arguments = sys.argv[1:]
     numbers = [None if a == "all" else int(a) for a in arguments]
-    print(json.dumps({"stages": stages, "whole": whole, "forms": forms}[name](*numbers)))  # type: ignore[operator]
+    print(json.dumps({"stages": stages, "whole": whole, "forms": forms, "encode": encode}[name](*numbers)))  # type: ignore[operator]
