@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 ROWS = 4  # pixel rows per work-item: with 8-float vectors, 8 accumulators of 16 registers
 BLOCK = 24  # kernels staged at a time: with the sums of a tile they fit the first-level cache (32 kB)
 # cl/tile.h: struct Axis
-AXIS = np.dtype([("offset", np.float32), ("wave", np.float32), ("tile", np.int32)])
+AXIS = np.dtype([("offset", np.float32), ("wave", np.float32), ("tile", np.int32), ("table", np.uint32)])
 
 
 def work_shape(device: Device, tiling: Tiling) -> dict[str, int]:
@@ -56,7 +56,6 @@ class Evaluator:
         self.tiling = tiling
         sides = [tiling.pixels * pitch for pitch in grid.pitch_mm]
         self._reach = reach(kernels, 0, sides[0]), reach(kernels, 1, sides[1])
-        self._slots = max(along.slots for along in self._reach)
         self._work_shape = work_shape(device, tiling)
         self.lists: TileLists = tile_lists(kernels, *self._reach, tiles, tile_normals)
         shape = np.stack([kernels.decay, kernels.radius_mm], axis=-1).astype(np.float32)
@@ -95,7 +94,7 @@ class Evaluator:
             self.device.kernel("rank1", self._work_shape)(
                 self.device.queue, (count, len(some)), (1, 1), out, tiles, self._needed_rows(count), starts, entries,
                 *self._tables, *self._axes, self._along_z(first, count), np.uint32(len(self.kernels)),
-                np.uint32(self._slots), np.uint32(some.start),
+                np.uint32(some.start),
             )  # fmt: skip
         return out, np.arange(len(some), dtype=np.uint32)
 
@@ -120,22 +119,23 @@ class Evaluator:
         return self._wanted[1]
 
     def _axis(self, axis: int) -> NDArray[Any]:
-        out = np.empty(len(self.kernels), AXIS)
-        out["offset"] = self._reach[axis].offset_mm
-        out["wave"] = self.kernels.wave[:, axis]
-        out["tile"] = self._reach[axis].first
+        """The kernels along x (0) or y (1), and a last entry for where their tables end."""
+        out = np.zeros(len(self.kernels) + 1, AXIS)
+        out["offset"][:-1] = self._reach[axis].offset_mm
+        out["wave"][:-1] = self.kernels.wave[:, axis]
+        out["tile"][:-1] = self._reach[axis].first
+        out["table"] = self._reach[axis].tables
         return out
 
     def _table(self, axis: int) -> Any:
         """Enqueues the 1-D factors of all kernels along x (0) or y (1)."""
         count = len(self.kernels)
-        table = self.device.scratch(f"table{axis}", count * self._slots * 2 * self.tiling.pixels * 4)
+        slots = int(self._reach[axis].tables[-1])
+        table = self.device.scratch(f"table{axis}", slots * 2 * self.tiling.pixels * 4)
         if count:
             kernel = self.device.kernel("tables", self._work_shape)
             pitch = np.float32(self.grid.pitch_mm[axis])
-            kernel(
-                self.device.queue, (count,), (1,), table, self._axes[axis], self._shape, pitch, np.int32(self._slots)
-            )
+            kernel(self.device.queue, (count,), (1,), table, self._axes[axis], self._shape, pitch)
         return table
 
     def _along_z(self, first: int, count: int) -> Any:

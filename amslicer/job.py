@@ -121,6 +121,9 @@ def _find_sources(node: Any) -> Iterator[Source]:
     elif isinstance(node, BaseModel):
         for key in type(node).model_fields:
             yield from _find_sources(getattr(node, key))
+    elif isinstance(node, dict | tuple):
+        for child in node.values() if isinstance(node, dict) else node:
+            yield from _find_sources(child)
 
 
 def _dump(spec: JobFile, renamed: Mapping[str, str]) -> dict[str, Any]:
@@ -140,4 +143,8 @@ def _with_paths(node: Any, renamed: Mapping[str, str]) -> Any:
         return node.model_copy(
             update={key: _with_paths(getattr(node, key), renamed) for key in type(node).model_fields}
         )
+    if isinstance(node, dict):
+        return {key: _with_paths(child, renamed) for key, child in node.items()}
+    if isinstance(node, tuple):
+        return tuple(_with_paths(child, renamed) for child in node)
     return node

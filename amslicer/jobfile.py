@@ -25,7 +25,6 @@ UNBUILT_KEYS = (
     "exemplar",
     "exemplar_pixel_mm",
     "isotropy_model",
-    "edges",
     "lobes",
     "skin",
     "bodies",
@@ -195,15 +194,13 @@ def _source_hint(value: Any) -> str | None:
         return "not built yet in this version"
     if not isinstance(value, dict):
         return None
-    if "rest" in value.values():
-        return "a ratio per material is not built yet in this version: give the share of the first"
     named = [key for key in value if key in SOURCES]
     if len(named) > 1:
         return f"give one of {' and '.join(named)}, not both"
     for key in value:
-        if key in (*PLANNED, "vector"):
+        if key in PLANNED:
             return f"{{{key}: …}} is not built yet in this version"
-        near = difflib.get_close_matches(key, [*SOURCES, *PLANNED, "azimuth", "elevation"], n=1)
+        near = difflib.get_close_matches(key, [*SOURCES, *PLANNED, "azimuth", "elevation", "vector"], n=1)
         if near:
             return f"did you mean {near[0]}?"
     return None
@@ -214,15 +211,11 @@ def _refuse_unbuilt(spec: JobFile, origin: Origin) -> None:
     from amslicer.noise import NOISES
     from amslicer.profile import PROFILES
 
-    pattern, fields = spec.pattern, spec.fields
-    numbers = isinstance(pattern.period, float), fields.isotropy == 0
+    pattern = spec.pattern
     refusals: tuple[tuple[bool, KeyPath, str, str], ...] = (
         (pattern.noise not in NOISES, ("pattern", "noise"), f"'{pattern.noise}'", ", ".join(NOISES)),
         (pattern.profile not in PROFILES, ("pattern", "profile"), f"'{pattern.profile}'", ", ".join(PROFILES)),
         (pattern.alignment != 0, ("pattern", "alignment"), f"{pattern.alignment}", "0"),
-        (not numbers[0], ("pattern", "period"), "a painted field", "a number of mm"),
-        (not numbers[1], ("fields", "isotropy"), "anything but 0", "0"),
-        (len(spec.materials) > 2, ("materials",), f"{len(spec.materials)} of them", "two"),
     )
     for refused, path, what, built in refusals:
         if refused:
@@ -232,18 +225,67 @@ def _refuse_unbuilt(spec: JobFile, origin: Origin) -> None:
 
 def _refuse_contradictions(spec: JobFile, origin: Origin) -> None:
     """What no single key is to blame for."""
-    from amslicer.specification import AzimuthElevation
+    from amslicer.specification import AzimuthElevation, VectorComponents
 
     pattern, fields = spec.pattern, spec.fields
     if isinstance(pattern.period, float) and pattern.period <= 0:
         raise origin.error(
             ("pattern", "period"), f"pattern.period: must be greater than 0 mm, but it is {pattern.period}"
         )
-    if isinstance(fields.ratio, float) and not 0 <= fields.ratio <= 1:
-        raise origin.error(("fields", "ratio"), f"fields.ratio: must be between 0 and 1, but it is {fields.ratio}")
-    if isinstance(fields.orientation, AzimuthElevation) and pattern.dimensions == 2:
+    if isinstance(fields.isotropy, float) and not 0 <= fields.isotropy <= 1:
+        raise origin.error(
+            ("fields", "isotropy"), f"fields.isotropy: must be between 0 and 1, but it is {fields.isotropy}"
+        )
+    _refuse_ratios(spec, origin)
+    if pattern.dimensions == 2 and isinstance(fields.orientation, AzimuthElevation):
         raise origin.error(
             ("fields", "orientation"),
             "fields.orientation: has an elevation, but pattern.dimensions is 2: the same in every layer",
             "set pattern.dimensions to 3, or give orientation as one angle",
         )
+    if pattern.dimensions == 2 and isinstance(fields.orientation, VectorComponents) and fields.orientation.vector[2]:
+        raise origin.error(
+            ("fields", "orientation", "vector"),
+            "fields.orientation.vector: has a z component, but pattern.dimensions is 2: the same in every layer",
+            "set pattern.dimensions to 3, or the third component to 0",
+        )
+
+
+def _refuse_ratios(spec: JobFile, origin: Origin) -> None:
+    """Whether each material has exactly one share."""
+    import difflib
+
+    from amslicer.specification import REST
+
+    painted, names = spec.fields.ratio, [material.name for material in spec.materials]
+    path: KeyPath = ("fields", "ratio")
+    ratio: Mapping[str, Any]
+    if isinstance(painted, dict):
+        ratio = painted
+    else:
+        if len(names) > 2:
+            raise origin.error(
+                path,
+                f"fields.ratio: is one field, but there are {len(names)} materials",
+                f"give a ratio per material: {{{', '.join(f'{name}: …' for name in names[:-1])}, {names[-1]}: {REST}}}",
+            )
+        ratio = {names[0]: painted, names[1]: REST}
+    for name in ratio:
+        if name not in names:
+            near = difflib.get_close_matches(name, names, n=1)
+            hint = f"did you mean {near[0]}?" if near else f"the materials are {', '.join(names)}"
+            raise origin.error((*path, name), f"fields.ratio: there is no material '{name}'", hint)
+    missing = [name for name in names if name not in ratio]
+    if missing:
+        raise origin.error(
+            path, f"fields.ratio: has no ratio for '{missing[0]}'", f"give it one, or {missing[0]}: {REST}"
+        )
+    takers = [name for name in ratio if ratio[name] == REST]
+    if len(takers) > 1:
+        raise origin.error(
+            (*path, takers[1]), f"fields.ratio: {' and '.join(takers)} are both {REST}; one can be", None
+        )
+    for name, share in ratio.items():
+        if isinstance(share, float) and not 0 <= share <= 1:
+            key = f"fields.ratio.{name}" if isinstance(painted, dict) else "fields.ratio"
+            raise origin.error((*path, name), f"{key}: must be between 0 and 1, but it is {share}")

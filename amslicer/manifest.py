@@ -33,13 +33,13 @@ class LayerRecord:
 
 
 def describe_stack(
-    prepared: Prepared, records: list[LayerRecord], asked: float, *, device: str, digest: str, version: str
+    prepared: Prepared, records: list[LayerRecord], asked: list[float], *, device: str, digest: str, version: str
 ) -> dict[str, Any]:
     """The manifest of a finished stack.
 
     Args:
         records: the written layers, in order.
-        asked: sum of the painted ratio over the solid pixels.
+        asked: per material, the sum of its painted share over the solid pixels.
     """
     grid, placement, mesh = prepared.grid, prepared.placement, prepared.mesh
     materials = prepared.job.spec.materials
@@ -77,19 +77,13 @@ def describe_stack(
                 "pixels": count,
                 "volume_mm3": count * grid.voxel_mm3,
                 "ratio": count / solid if solid else 0.0,
-                "ratio_asked": _asked_share(m, asked, solid),
+                "ratio_asked": wanted / solid if solid else 0.0,
             }
-            for m, (material, count) in enumerate(zip(materials, pixels, strict=True))
+            for material, count, wanted in zip(materials, pixels, asked, strict=True)
         ],
         "solid_pixels": solid,
         "layers": [vars(record) for record in records],
     }
-
-
-def _asked_share(material: int, asked: float, solid: int) -> float:
-    if solid == 0:
-        return 0.0
-    return asked / solid if material == 0 else 1.0 - asked / solid
 
 
 def _floats(values: NDArray[np.float64]) -> list[float]:

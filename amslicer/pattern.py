@@ -8,14 +8,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from amslicer.errors import JobError
 from amslicer.evaluator import ROWS, Evaluator, work_shape
-from amslicer.fields import Frame, Sampler, open_field
-from amslicer.fields.orientation import Orientation
+from amslicer.generator import DeviceGenerator
 from amslicer.noise import NOISES
 from amslicer.noise.kernels import Kernels, join_kernels
 from amslicer.profile import PROFILES
-from amslicer.specification import AzimuthElevation
 from amslicer.tiles import Tiling, all_tiles, needed_tiles, tiles_over
 
 if TYPE_CHECKING:
@@ -26,113 +23,20 @@ if TYPE_CHECKING:
     from amslicer.job import Job
     from amslicer.mask import Runs
     from amslicer.noise import Noise
-    from amslicer.placement import Placement
+    from amslicer.painted import Painted
 
     Floats = NDArray[np.float64]
 
 FIELD_BYTES = 32 << 20  # G of some tiles at a time: 8 bytes per pixel and layer, within a processor's cache
-RATIO_ROWS = 64  # rows of the ratio evaluated at a time; fixed, so that every run does the same arithmetic
-RATIO_ROUNDING = 1e-9  # how far interpolation may leave 0…1
+EDGES = (1 << 30) + (1 << 29)  # fourth word of the counters of dithered edges, which no noise uses (noise/kernels.py)
 
 
-@dataclass(frozen=True)
-class Painted:
-    """A job's fields, opened over its placed part.
-
-    Attributes:
-        ratio: share of the first material.
-        orientation: the laminate's normal.
-    """
-
-    ratio: Sampler
-    orientation: Orientation
-    placement: Placement
-    mid_height_mm: float
-    dimensions: int
-
-    def normals(self, points_mm: Floats) -> Floats:
-        """(N, 3) unit normals in printer axes at (N, 3) pattern-frame points; flat in 2D, at mid-height."""
-        flat = self.dimensions == 2
-        z = np.full(len(points_mm), self.mid_height_mm) if flat else points_mm[:, 2]
-        x, y, z = np.broadcast_arrays(*self.placement.to_field(points_mm[:, 0], points_mm[:, 1], z))
-        normals = self.placement.turn(self.orientation.normals(x, y, z))
-        if flat:
-            normals = normals * (1.0, 1.0, 0.0)
-            length = np.linalg.norm(normals, axis=1, keepdims=True)
-            upright = length < 1e-6  # a normal that points straight up has no direction in the plane
-            normals = np.where(upright, (1.0, 0.0, 0.0), normals / np.where(upright, 1.0, length))
-        return normals
-
-    @property
-    def ratio_depends_on_z(self) -> bool:
-        """Whether the ratio changes from layer to layer."""
-        return self.placement.depends_on_z(self.ratio.varies)
-
-    def check_ratio(self, grid: Grid) -> None:
-        """Looks for a painted ratio outside 0…1 in a few layers, before anything is written.
-
-        Raises:
-            JobError: as ratio_map does.
-        """
-        low, high = self.ratio.bounds
-        if low < -RATIO_ROUNDING or high > 1 + RATIO_ROUNDING:
-            for layer in {0, grid.layers // 2, grid.layers - 1} if self.ratio_depends_on_z else {0}:
-                self.ratio_map(grid, layer)
-
-    def ratio_map(self, grid: Grid, layer: int) -> NDArray[np.float32]:
-        """(rows, columns) painted ratio at the pixel centres of a layer, row 0 = lowest y.
-
-        Raises:
-            JobError: the painted ratio leaves 0…1; the message says where and how much.
-        """
-        x, z = grid.x_mm()[None, :], np.asarray(grid.z_mm(layer))
-        out = np.empty((grid.rows, grid.columns), np.float32)
-        for first in range(0, grid.rows, RATIO_ROWS):
-            y = grid.y_mm()[first : first + RATIO_ROWS, None]
-            values = np.broadcast_to(self.ratio.scalar(*self.placement.to_field(x, y, z)), (len(y), grid.columns))
-            wrong = ~((values >= -RATIO_ROUNDING) & (values <= 1 + RATIO_ROUNDING))
-            if wrong.any():
-                row, column = np.argwhere(wrong)[0]
-                place = self.placement.to_field(x[0, column], y[row, 0], z)
-                at = ", ".join(
-                    f"{axis} = {float(v + low):.2f}"
-                    for axis, v, low in zip("xyz", place, self.placement.file_minimum_mm, strict=True)
-                )
-                raise JobError(
-                    f"fields.ratio is {values[row, column]:.4g} at {at} mm (file coordinates); "
-                    "a ratio is between 0 and 1",
-                    hint="change the field's range (or from and to) so that it stays within 0 and 1",
-                )
-            out[first : first + RATIO_ROWS] = np.clip(values, 0.0, 1.0)
-        return out
-
-
-def open_fields(job: Job, placement: Placement, file_size_mm: Floats) -> Painted:
-    """Opens a job's fields over its part.
-
-    Args:
-        file_size_mm: (3,) bounding box size in the file's axes.
-    """
-    frame = Frame(placement.file_minimum_mm, file_size_mm)
-    spec = job.spec.fields.orientation
-    if isinstance(spec, AzimuthElevation):
-        orientation = Orientation(
-            open_field(spec.azimuth, frame, job.inputs), open_field(spec.elevation, frame, job.inputs)
-        )
-    else:
-        orientation = Orientation(open_field(spec, frame, job.inputs))
-    ratio = open_field(job.spec.fields.ratio, frame, job.inputs)
-    middle = float(placement.size_mm[2]) / 2
-    return Painted(ratio, orientation, placement, middle, job.spec.pattern.dimensions)
-
-
-def make_noise(job: Job) -> Noise:
+def make_noise(job: Job, painted: Painted) -> Noise:
     """The job's noise with its parameters."""
     pattern = job.spec.pattern
-    assert isinstance(pattern.period, float)
     given = {} if pattern.impulses is None else {"impulses": pattern.impulses}
     return NOISES[pattern.noise](
-        period_mm=pattern.period, bandwidth=pattern.bandwidth, dimensions=pattern.dimensions,
+        periods_mm=painted.period_bounds_mm, bandwidth=pattern.bandwidth, dimensions=pattern.dimensions,
         seed=pattern.seed, **given,
     )  # fmt: skip
 
@@ -153,14 +57,17 @@ class Pattern:
         self.grid = grid
         self.tiling = tiling
         self.device = device
-        self.noise = make_noise(job)
+        self.noise = make_noise(job, painted)
         self.planar = job.spec.pattern.dimensions == 2
-        self._thresholds_of = PROFILES[job.spec.pattern.profile]
+        self._profile = PROFILES[job.spec.pattern.profile]
+        self._dithered = job.spec.pattern.edges == "dithered"
+        self._seed = job.spec.pattern.seed
+        self._generator = DeviceGenerator(device)
         self._padded = tuple(tiling.pixels * count for count in tiles_over(grid, tiling.pixels))
         self._planar_field: PlanarField | None = None
         self._thresholds: Any = None
         self._ratio: dict[int, NDArray[np.float32]] = {}
-        self._running: Floats | None = None
+        self._sums: list[Floats] = []
         self._cell_layers: dict[int, Kernels] = {}
         # What is ever looked at, margin included, in whole tiles: kernels are kept for all of it.
         first, end = self._all_tiles()
@@ -186,27 +93,31 @@ class Pattern:
             self._ratio.clear()
         return labels[:, : self.grid.rows, : self.grid.columns]
 
-    def asked(self, runs: Runs, first: int) -> list[float]:
-        """Per layer, the sum of the painted ratio over the solid pixels."""
+    def asked(self, runs: Runs, first: int) -> list[list[float]]:
+        """Per layer and material, the sum of its painted share over the solid pixels."""
         layer_of_run = runs.row // self.grid.rows
-        sums = np.zeros(runs.layers)
+        materials = len(self.painted.materials)
+        sums = np.zeros((runs.layers, materials + 1))
+        sums[:, -1] = runs.pixels
         for layer in range(runs.layers) if self.painted.ratio_depends_on_z else (None,):
             here = slice(None) if layer is None else layer_of_run == layer
-            until = self._ratio_until(first + (layer or 0))
             row = runs.row[here] % self.grid.rows
-            shares = until[row, runs.stop[here]] - until[row, runs.start[here]]
-            sums += np.bincount(layer_of_run[here], shares, minlength=runs.layers)
-        return [float(s) for s in sums]
+            for m, until in enumerate(self._sums_until(first + (layer or 0)), 1):
+                shares = until[row, runs.stop[here]] - until[row, runs.start[here]]
+                sums[:, m] += np.bincount(layer_of_run[here], shares, minlength=runs.layers)
+        return [[float(v) for v in row] for row in np.diff(sums, axis=1)]
 
-    def _ratio_until(self, layer: int) -> Floats:
-        """(rows, columns + 1) running sum of the painted ratio along each row."""
-        if self._running is None or self.painted.ratio_depends_on_z:
-            self._running = np.zeros((self.grid.rows, self.grid.columns + 1))
-            np.cumsum(self.ratio(layer), axis=1, dtype=np.float64, out=self._running[:, 1:])
-        return self._running
+    def _sums_until(self, layer: int) -> list[Floats]:
+        """Per cumulative ratio, (rows, columns + 1) its running sum along each row."""
+        if not self._sums or self.painted.ratio_depends_on_z:
+            planes = self.ratio(layer)
+            self._sums = [np.zeros((self.grid.rows, self.grid.columns + 1)) for _ in planes]
+            for until, plane in zip(self._sums, planes, strict=True):
+                np.cumsum(plane, axis=1, dtype=np.float64, out=until[:, 1:])
+        return self._sums
 
     def ratio(self, layer: int) -> NDArray[np.float32]:
-        """(rows, columns) painted ratio of a layer; made once, and kept until the layer is labelled."""
+        """(materials - 1, rows, columns) cumulative painted ratios; made once, and kept until the layer is labelled."""
         key = layer if self.painted.ratio_depends_on_z else 0
         if key not in self._ratio:
             self._ratio[key] = self.painted.ratio_map(self.grid, key)
@@ -242,6 +153,9 @@ class Pattern:
         device.fill_zeros(out, labels.nbytes)
         planar = self._planar_g() if self.planar else None
         evaluator = None if planar else self._evaluator(first, runs.layers, tiles, needed)
+        waves = self._waves(tiles, first) if self._dithered else np.zeros((len(tiles), 4), np.float32)
+        shape = {**work_shape(device, self.tiling), "CYCLIC": self._profile.cyclic, "DITHERED": self._dithered}
+        seed = np.array([self._seed & 0xFFFFFFFF, self._seed >> 32], np.uint32)
         # Few enough tiles at a time for their G to stay in the cache between the noise and the profile.
         layers = 1 if planar else runs.layers
         at_once = max(1, FIELD_BYTES // (8 * tile * tile * layers))
@@ -254,12 +168,14 @@ class Pattern:
                 assert evaluator is not None
                 field, slots = evaluator.field(first, layers, range(start, start + len(some)))
             profiled = device.buffer(some), device.buffer(slots)
+            waves_of_some = device.buffer(waves[start : start + at_once])
             field_tiles = np.uint32(planar.slot_of_tile.size if planar else len(some))
             for layer, count, thresholds in graded:
-                device.kernel("profile", work_shape(device, self.tiling))(
+                device.kernel("profile", shape)(
                     device.queue, (tile, len(some), count), (tile, 1, 1), out, field, solid, thresholds, *profiled,
-                    np.uint32(1), np.array(self._padded[::-1], np.uint32), field_tiles, np.uint32(layers),
-                    np.uint32(layer),
+                    np.uint32(len(self.painted.materials) - 1), np.array(self._padded[::-1], np.uint32), field_tiles,
+                    np.uint32(layers), np.uint32(layer), waves_of_some, seed, np.uint32(EDGES),
+                    np.uint32(first + layer), np.uint32(self.planar),
                 )  # fmt: skip
         device.read(out, labels)
 
@@ -296,10 +212,20 @@ class Pattern:
         grid, side = self.grid, self.tiling.pixels * np.array(self.grid.pitch_mm)
         low, high = tiles.min(axis=0) * side, (tiles.max(axis=0) + 1) * side
         kernels = self._kernels(low, high, grid.z_mm(first), grid.z_mm(first + count - 1))
-        block_middle = self.tiling.block_middle_mm(first, grid.layer_mm)
-        centres = np.column_stack([(tiles + 0.5) * side, np.full(len(tiles), block_middle)])
-        normals = self.painted.normals(centres)
+        normals = self.painted.normals(self._centres(tiles, first))
         return Evaluator(self.device, kernels, tiles, normals, grid, self.tiling, planar=self.planar, needed=needed)
+
+    def _centres(self, tiles: NDArray[np.int32], layer: int) -> Floats:
+        """(T, 3) centres of the tiles that hold a layer, mm."""
+        side = self.tiling.pixels * np.array(self.grid.pitch_mm)
+        middle = self.tiling.block_middle_mm(layer, self.grid.layer_mm)
+        return np.column_stack([(tiles + 0.5) * side, np.full(len(tiles), middle)])
+
+    def _waves(self, tiles: NDArray[np.int32], layer: int) -> NDArray[np.float32]:
+        """(T, 4) the painted wave at the tiles' centres, in rad per column, row and layer; the last is 0."""
+        centres = self._centres(tiles, layer)
+        waves = self.painted.normals(centres) * (2 * np.pi / self.painted.periods(centres))[:, None]
+        return np.pad(waves * (*self.grid.pitch_mm, self.grid.layer_mm), ((0, 0), (0, 1))).astype(np.float32)
 
     def _kernels(self, low_mm: Floats, high_mm: Floats, low_z_mm: float, high_z_mm: float) -> Kernels:
         """All kernels that reach a rectangle between two heights, in the order of their cells."""
@@ -307,9 +233,7 @@ class Pattern:
         self._cell_layers = {number: kernels for number, kernels in self._cell_layers.items() if number in cell_layers}
         for number in cell_layers:
             if number not in self._cell_layers:
-                self._cell_layers[number] = self.noise.kernels(
-                    self._draw, number, *self._rectangle, self.painted.normals
-                )
+                self._cell_layers[number] = self.noise.kernels(self._generator, number, *self._rectangle, self.painted)
         near = []
         for number in cell_layers:
             kernels = self._cell_layers[number]
@@ -320,19 +244,6 @@ class Pattern:
                 reaches &= (centre[:, 2] + radius > low_z_mm) & (centre[:, 2] - radius < high_z_mm)
             near.append(kernels.take(reaches))
         return join_kernels(near)
-
-    def _draw(
-        self, first: tuple[int, int, int], count: tuple[int, int, int], per_cell: int, seed: int
-    ) -> NDArray[np.uint32]:
-        words = np.empty((count[2], count[1], count[0], per_cell, 4), np.uint32)
-        buffer = self.device.empty(words.nbytes)
-        key = np.array([seed & 0xFFFFFFFF, seed >> 32], np.uint32)
-        self.device.run(
-            self.device.kernel("impulses"), words.size // 4, buffer, np.array([*first, 0], np.int32),
-            np.array([*count, per_cell], np.uint32), key,
-        )  # fmt: skip
-        self.device.read(buffer, words)
-        return words
 
     def _threshold_buffers(self, first: int, count: int) -> Iterator[tuple[int, int, Any]]:
         """For runs of layers with the same painted ratio: (number of the first, how many, thresholds)."""
@@ -345,6 +256,7 @@ class Pattern:
             yield layer, 1, self._threshold_buffer(first + layer)
 
     def _threshold_buffer(self, layer: int) -> Any:
-        padded = np.zeros(self._padded, np.float32)
-        padded[: self.grid.rows, : self.grid.columns] = self._thresholds_of(self.ratio(layer))
+        ratio = self.ratio(layer)
+        padded = np.zeros((len(ratio), *self._padded), np.float32)
+        padded[:, : self.grid.rows, : self.grid.columns] = self._profile.thresholds(ratio)
         return self.device.buffer(padded)

@@ -13,14 +13,17 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from amslicer.arrows import refuse_lines, sample_places
 from amslicer.device import Device
 from amslicer.errors import JobError, UsageError
 from amslicer.grid import Grid, cover
 from amslicer.layer import Layer
 from amslicer.mask import Slicer, join_runs, make_slicer
 from amslicer.mesh import Mesh, read_mesh
-from amslicer.pattern import Painted, Pattern, make_noise, open_fields
+from amslicer.painted import Painted, open_fields
+from amslicer.pattern import Pattern, make_noise
 from amslicer.placement import Placement, place
+from amslicer.profile import PROFILES
 from amslicer.tiles import Tiling, choose_tiling
 
 if TYPE_CHECKING:
@@ -41,6 +44,8 @@ MAX_LAYERS = 1_000_000
 MAX_SIDE_MM = 1e7  # 10 km
 MAX_KERNELS, MAX_TABLE_BYTES = 20_000_000, 8 << 30  # of one batch of layers: beyond, memory runs out
 NOTED_MM = 5e-4  # moves that would be shown as 0.000 mm are float noise
+MAX_PERIOD_RATIO = 4  # longest to shortest painted period: kernels are drawn at the density of the shortest
+PERIOD_ROUNDING = 1e-9
 MIN_PERIOD_PX = 3  # below, pixels do not show where one sheet ends
 
 
@@ -100,18 +105,17 @@ class Prepared:
 
     def _fineness_notes(self) -> Iterator[str]:
         """Whether pixels show the sheets."""
-        pattern = self.job.spec.pattern
-        assert isinstance(pattern.period, float)
-        heights = (self.grid.layer_mm,) if pattern.dimensions == 3 else ()
+        shortest = self.painted.period_bounds_mm[0]
+        heights = (self.grid.layer_mm,) if self.job.spec.pattern.dimensions == 3 else ()
         pitch = max(*self.grid.pitch_mm, *heights)
-        if pattern.period < MIN_PERIOD_PX * pitch:
+        if shortest < MIN_PERIOD_PX * pitch:
             yield (
-                f"the period of {pattern.period:g} mm is {pattern.period / pitch:.1f} pixels or layers of "
+                f"the period of {shortest:g} mm is {shortest / pitch:.1f} pixels or layers of "
                 f"{1000 * pitch:.0f} µm: sheets are lost below {MIN_PERIOD_PX}"
             )
             return
-        low, high = self.painted.ratio.bounds
-        thinnest = min((share for share in (low, 1 - high) if share > 0), default=1.0) * pattern.period
+        shares = [low for low, _ in self.painted.share_bounds() if low > 0]
+        thinnest = min(shares, default=1.0) * shortest
         if thinnest < pitch:
             yield (
                 f"the thinnest sheets are {1000 * thinnest:.0f} µm, less than a pixel or layer of "
@@ -134,10 +138,11 @@ def prepare(job: Job) -> Prepared:
     grid = cover(placement.size_mm.tolist(), printer.pitch_mm, printer.layer_height_mm, printer.margin_px)
     _refuse_absurd(job, grid, placement)
     painted = open_fields(job, placement, mesh.size_mm)
-    period = spec.pattern.period
-    assert isinstance(period, float)
-    tiling = choose_tiling(grid, period)
-    _refuse_many_kernels(job, make_noise(job), grid, tiling, placement)
+    _refuse_periods(painted)
+    if PROFILES[spec.pattern.profile].cyclic:
+        refuse_lines(painted)
+    tiling = choose_tiling(grid, painted.period_bounds_mm[0])
+    _refuse_many_kernels(job, make_noise(job, painted), grid, tiling, painted)
     return Prepared(job, mesh, placement, grid, tiling, make_slicer(vertices, mesh.triangles, grid), painted)
 
 
@@ -161,19 +166,36 @@ def _refuse_absurd(job: Job, grid: Grid, placement: Placement) -> None:
         )
 
 
-def _refuse_many_kernels(job: Job, noise: Noise, grid: Grid, tiling: Tiling, placement: Placement) -> None:
+def _refuse_periods(painted: Painted) -> None:
+    """A painted period is greater than 0 and graded by no more than the kernels' grid serves."""
+    shortest, longest = painted.period_bounds_mm
+    if not shortest > 0:
+        raise JobError(
+            f"pattern.period: the painted period falls to {shortest:.4g} mm; a period is greater than 0 mm",
+            hint="change the field's range (or from and to), or clip() an expression",
+        )
+    if longest > MAX_PERIOD_RATIO * shortest * (1 + PERIOD_ROUNDING):
+        raise JobError(
+            f"pattern.period: the painted period goes from {shortest:.4g} to {longest:.4g} mm, a factor of "
+            f"{longest / shortest:.3g}; up to {MAX_PERIOD_RATIO} is built in this version",
+            hint="change the field's range (or from and to), or clip() an expression",
+        )
+
+
+def _refuse_many_kernels(job: Job, noise: Noise, grid: Grid, tiling: Tiling, painted: Painted) -> None:
     """The kernels of one batch and their tables, counted before any is drawn."""
-    reach = noise.radius_mm
-    width, depth = (float(v) + 2 * reach for v in placement.size_mm[:2])
+    reach, size = noise.radius_mm, painted.placement.size_mm
+    width, depth = (float(v) + 2 * reach for v in size[:2])
     height = 2 * reach + tiling.layers * grid.layer_mm if noise.dimensions == 3 else 1.0
-    kernels = noise.density * width * depth * height
+    shortest, longest = painted.period_bounds_mm
+    period = painted.periods(sample_places(painted, longest).reshape(-1, 3))
+    kernels = noise.density * width * depth * height * float(np.mean((shortest / period) ** noise.dimensions))
     slots = 2 * reach / (tiling.pixels * min(grid.pitch_mm)) + 2
     table_bytes = kernels * slots * tiling.pixels * 8
     if kernels > MAX_KERNELS or table_bytes > MAX_TABLE_BYTES:
-        pattern = job.spec.pattern
         raise JobError(
-            f"the job is too large: with pattern.period {pattern.period} mm and bandwidth {pattern.bandwidth} a layer "
-            f"needs {kernels:.3g} kernels that reach {reach:.3g} mm ({table_bytes / 1e9:.3g} GB of tables)",
+            f"the job is too large: with pattern.period {shortest:g} mm and bandwidth {job.spec.pattern.bandwidth} a "
+            f"layer needs {kernels:.3g} kernels that reach {reach:.3g} mm ({table_bytes / 1e9:.3g} GB of tables)",
             hint="use a period of at least 3 pixels, no larger than the part, and a bandwidth of 0.25 to 1",
         )
 
@@ -242,11 +264,11 @@ class Made:
 
     Attributes:
         layer: labels.
-        asked: sum of the painted ratio over the solid pixels: how many pixels of the first material are asked.
+        asked: per material, the sum of its painted share over the solid pixels: how many pixels are asked.
     """
 
     layer: Layer
-    asked: float
+    asked: list[float]
 
 
 def make_layers(
@@ -254,7 +276,8 @@ def make_layers(
 ) -> Iterator[list[Made]]:
     """Batches of layers: masks in the pool's threads, then labels on the device."""
     grid = prepared.grid
-    for first, end in batches(chosen, grid, prepared.tiling, flat_ratio=not prepared.painted.ratio_depends_on_z):
+    graded = len(prepared.painted.materials) - 1 if prepared.painted.ratio_depends_on_z else 0
+    for first, end in batches(chosen, grid, prepared.tiling, graded):
         pieces = np.array_split(np.arange(first, end), min(threads, end - first))
         parts = pool.map(lambda piece: prepared.slicer.runs(int(piece[0]), int(piece[-1]) + 1), pieces)
         runs = join_runs(list(parts))
@@ -263,9 +286,13 @@ def make_layers(
         yield [Made(_layer(prepared, first + i, layer), asked[i]) for i, layer in enumerate(labels)]
 
 
-def batches(chosen: range, grid: Grid, tiling: Tiling, *, flat_ratio: bool) -> Iterator[tuple[int, int]]:
-    """Half-open runs of layers, none across a border of tiles, each within the memory bound."""
-    bytes_per_pixel = MASK_BYTES + (0 if flat_ratio else GRADED_BYTES)
+def batches(chosen: range, grid: Grid, tiling: Tiling, graded: int) -> Iterator[tuple[int, int]]:
+    """Half-open runs of layers, none across a border of tiles, each within the memory bound.
+
+    Args:
+        graded: cumulative ratios that change from layer to layer.
+    """
+    bytes_per_pixel = MASK_BYTES + GRADED_BYTES * graded
     at_once = max(1, min(tiling.layers, BATCH_BYTES // (bytes_per_pixel * grid.columns * grid.rows)))
     first = chosen.start
     while first < chosen.stop:

@@ -1,12 +1,20 @@
 """From phase to material: the thresholds of a profile, apart from the noise that makes the phase.
 
-PWM of two materials and its symmetric extension to several: with cumulative ratios 0 = c0 <= … <= cM = 1,
-material m where |ϕ|/π is in [c(m-1), cm), ϕ = arg G. Since cos falls on 0…π, |ϕ| >= π c is Re G <= cos(π c) |G|:
-no angle is ever computed. The device compares squares with their signs; a ratio of 0 or 1 is a plain fill.
+With cumulative ratios 0 = c0 <= … <= cM = 1 and ϕ = arg G, material m is where the profile's share of a turn is in
+[c(m-1), cm), the last interval closed:
+
+    symmetric (pwm: of two materials)   |ϕ|/π          A B C B A B C …   n and -n are the same
+    cyclic                              ϕ/2π mod 1     A B C A B C …     in the direction of n
+
+No angle is ever computed: a key falls as the share grows from 0 to 1, and its value at c, times |G|², is compared with
+that of G. The symmetric key is cos·|cos| of the angle, from 1 to -1; the cyclic one goes on to -3 in the second half of
+the turn. A ratio of 0 or 1 is a plain fill.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,24 +24,51 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-# Beyond ±1, the squared cosine's range: every phase is below or above these thresholds.
-ALWAYS, NEVER = np.float32(-2.0), np.float32(2.0)
+# Beyond 1 and -3, the keys' ranges: every phase is below or above these thresholds.
+ALWAYS, NEVER = np.float32(-4.0), np.float32(4.0)
 
 
-def symmetric_thresholds(cumulative: NDArray[Any]) -> NDArray[np.float32]:
-    """cos(πc)·|cos(πc)| for each cumulative ratio, or a plain fill where c <= 0 or >= 1 within rounding.
+@dataclass(frozen=True)
+class Profile:
+    """How a phase becomes one of several materials.
 
-    Args:
-        cumulative: shares of all materials up to one, 0…1, any shape.
+    Attributes:
+        key: of shares 0…1 of a turn, float64, any shape.
+        cyclic: whether the sign of the phase counts, so that the painted direction must be an arrow.
     """
-    c = np.ascontiguousarray(cumulative, np.float64)
-    cosine = np.cos(np.pi * c)
-    thresholds = (cosine * np.abs(cosine)).astype(np.float32)
-    rounding = np.finfo(np.float32).eps
-    thresholds[c <= rounding] = NEVER
-    thresholds[c >= 1 - rounding] = ALWAYS
-    return thresholds
+
+    key: Callable[[NDArray[Any]], NDArray[np.float64]]
+    cyclic: bool
+
+    def thresholds(self, cumulative: NDArray[Any]) -> NDArray[np.float32]:
+        """The key at each cumulative ratio, or a plain fill where it is <= 0 or >= 1 within rounding.
+
+        Args:
+            cumulative: shares of all materials up to one, 0…1, any shape.
+        """
+        c = np.ascontiguousarray(cumulative, np.float64)
+        thresholds = self.key(c).astype(np.float32)
+        rounding = np.finfo(np.float32).eps
+        thresholds[c <= rounding] = NEVER
+        thresholds[c >= 1 - rounding] = ALWAYS
+        return thresholds
 
 
-# pwm is the two-material name of symmetric; `cyclic` will have thresholds of its own.
-PROFILES = {"pwm": symmetric_thresholds, "symmetric": symmetric_thresholds}
+def symmetric_key(share: NDArray[Any]) -> NDArray[np.float64]:
+    """cos(πc)·|cos(πc)|: from 1 to -1."""
+    cosine = np.cos(np.pi * share)
+    return np.asarray(cosine * np.abs(cosine))
+
+
+def cyclic_key(share: NDArray[Any]) -> NDArray[np.float64]:
+    """cos(2πc)·|cos(2πc)| in the first half of a turn, its mirror image at -1 in the second: from 1 to -3."""
+    key = symmetric_key(2 * share)
+    return np.where(share <= 0.5, key, -2 - key)
+
+
+# pwm is the two-material name of symmetric.
+PROFILES = {
+    "pwm": Profile(symmetric_key, cyclic=False),
+    "symmetric": Profile(symmetric_key, cyclic=False),
+    "cyclic": Profile(cyclic_key, cyclic=True),
+}

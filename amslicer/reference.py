@@ -26,6 +26,8 @@ if TYPE_CHECKING:
     Complexes = NDArray[np.complex128]
     # One normal for all kernels, or (N, 3) places -> (N, 3) unit normals.
     Normal = ArrayLike | Callable[[Floats], Floats]
+    # One number for all kernels, or (N, 3) places -> (N,) numbers.
+    Scalar = float | Callable[[Floats], Floats]
 
 # Philox-4x32-10 (Salmon et al. 2011, "Parallel Random Numbers: As Easy as 1, 2, 3"): multipliers, key steps.
 PHILOX_ROUNDS = 10
@@ -33,6 +35,9 @@ MULTIPLIERS = (0xD2511F53, 0xCD9E8D57)
 KEY_STEPS = (0x9E3779B9, 0xBB67AE85)  # golden ratio, √3 - 1
 WORD_BITS = 32
 WORD_MASK = 0xFFFFFFFF
+# Fourth words of the counters, beside 0 … for impulses: choices among candidates; places and weights of the points that
+# turn directions, + 256 × level; dithered edges.
+CHOICES, TURN_PLACES, TURN_WEIGHTS, EDGES = 0x40000000, 0x80000000, 0xC0000000, 0x60000000
 
 
 def philox4x32(counter: ArrayLike, key: ArrayLike) -> NDArray[np.uint32]:
@@ -57,8 +62,8 @@ def philox4x32(counter: ArrayLike, key: ArrayLike) -> NDArray[np.uint32]:
     return np.stack(np.broadcast_arrays(c0, c1, c2, c3), axis=-1).astype(np.uint32)
 
 
-def cell_words(cells: ArrayLike, per_cell: int, seed: int) -> NDArray[np.uint32]:
-    """The random words of cells (i, j, k): of counter (i, j, k, m), with the seed as the key.
+def cell_words(cells: ArrayLike, per_cell: int, seed: int, number: int = 0) -> NDArray[np.uint32]:
+    """The random words of cells (i, j, k): of counter (i, j, k, number + m), with the seed as the key.
 
     Args:
         cells: (..., 3) integers, negative ones included (two's complement).
@@ -69,7 +74,7 @@ def cell_words(cells: ArrayLike, per_cell: int, seed: int) -> NDArray[np.uint32]
         (..., per_cell, 4) uint32.
     """
     corner = np.asarray(cells, np.int64)[..., None, :]
-    index = np.broadcast_to(np.arange(per_cell)[:, None], (*corner.shape[:-2], per_cell, 1))
+    index = np.broadcast_to(number + np.arange(per_cell)[:, None], (*corner.shape[:-2], per_cell, 1))
     corner = np.broadcast_to(corner, (*index.shape[:-1], 3))
     counter = np.concatenate([corner, index], axis=-1) & WORD_MASK
     return philox4x32(counter, (seed & WORD_MASK, seed >> WORD_BITS))
@@ -111,19 +116,23 @@ def cut_radius(width: float, dimensions: int, error: float) -> float:
 
 
 def phasor(
-    x: ArrayLike, y: ArrayLike, z: ArrayLike, *, period: float, bandwidth: float, dimensions: int, seed: int,
-    normal: Normal, impulses: float = 4.0, reference_normal: ArrayLike | None = None, error: float = 1e-3,
+    x: ArrayLike, y: ArrayLike, z: ArrayLike, *, period: Scalar, bandwidth: float, dimensions: int, seed: int,
+    normal: Normal, isotropy: Scalar = 0.0, impulses: float = 4.0, periods: tuple[float, float] | None = None,
+    reference_normal: ArrayLike | None = None, error: float = 1e-3,
 ) -> Complexes:  # fmt: skip
     """G at any points, kernel by kernel, with box support |x - x_j| < r along each axis.
 
     Args:
         x, y, z: coordinates in mm, which broadcast; z is ignored in 2D.
-        period: p in mm.
+        period: p in mm at the kernels' centres.
         bandwidth: b·p, relative.
         dimensions: 2 or 3.
         seed: 0 … 2^64 - 1.
         normal: unit normals at the kernels' centres: one, or a function of (N, 3) places.
+        isotropy: s at the kernels' centres, 0…1.
         impulses: kernels per b^dimensions.
+        periods: the shortest and the longest p, where it varies: candidates lie as densely as the shortest asks for,
+            and are kernels with probability (shortest/p)^dimensions.
         reference_normal: (..., 3) normals at the points, which broadcast. A kernel whose own normal points
             against it is conjugated: the laminate's normal is a line, and n, φ and -n, -φ are the same real wave.
         error: relative RMS error of cutting the kernels.
@@ -137,27 +146,109 @@ def phasor(
     reference = None if reference is None else reference.reshape(-1, 3)
     point = point.reshape(-1, 3) * ((1, 1, 1) if dimensions == 3 else (1, 1, 0))
 
-    width = bandwidth / period
-    radius = cut_radius(width, dimensions, error)
-    per_cell, side = cells_of(width, dimensions, impulses)
+    shortest, longest = periods or (float(period),) * 2  # type: ignore[arg-type]
+    farthest = cut_radius(bandwidth / longest, dimensions, error)
+    per_cell, side = cells_of(bandwidth / shortest, dimensions, impulses)
     cells, cell_of_point = np.unique(np.floor(point / side).astype(np.int64), axis=0, return_inverse=True)
-    steps = range(-math.ceil(radius / side), math.ceil(radius / side) + 1)
+    steps = range(-math.ceil(farthest / side), math.ceil(farthest / side) + 1)
+    offsets = np.array(list(product(steps, steps, steps if dimensions == 3 else (0,))))
+    drawn, cell_near = np.unique((cells[:, None] + offsets).reshape(-1, 3), axis=0, return_inverse=True)
+    cell_near = cell_near.reshape(len(cells), len(offsets))  # the drawn cell at each offset from a point's own
+    places, phases = impulses_of(drawn, side_mm=side, per_cell=per_cell, dimensions=dimensions, seed=seed)
+    places, phases = places.reshape(-1, 3), phases.reshape(-1)
+    p = _at(period, places)
+    width = bandwidth / p
+    radius = cut_radius(1.0, dimensions, error) / width
+    choice = cell_words(drawn, per_cell, seed, CHOICES)[..., 0].reshape(-1) / 2.0**WORD_BITS
+    is_kernel = (choice < (shortest / p) ** dimensions) | (shortest == longest)
+    normals = np.broadcast_to(normal(places) if callable(normal) else np.asarray(normal, np.float64), places.shape)
+    waves = turned(normals, _at(isotropy, places), places, width, dimensions, seed) * (2 * np.pi / p)[:, None]
     total = np.zeros(len(point), np.complex128)
-    for offset in product(steps, steps, steps if dimensions == 3 else (0,)):
-        places, phases = impulses_of(cells + offset, side_mm=side, per_cell=per_cell, dimensions=dimensions, seed=seed)
-        normals = normal(places.reshape(-1, 3)) if callable(normal) else np.asarray(normal, np.float64)
-        normals = np.broadcast_to(normals, (len(cells) * per_cell, 3)).reshape(places.shape)
+    for cell_of_offset in cell_near.T:
         for m in range(per_cell):
-            from_centre = point - places[cell_of_point, m]
-            near = np.flatnonzero(np.all(np.abs(from_centre) < radius, axis=1))
-            cell, d = cell_of_point[near], from_centre[near]
-            n = normals[cell, m]
-            angle = 2 * np.pi / period * _dot(n, d) + phases[cell, m]
-            wave = np.exp(-np.pi * width**2 * _dot(d, d) + 1j * angle)
+            j = cell_of_offset[cell_of_point] * per_cell + m
+            d = point - places[j]
+            near = np.flatnonzero(np.all(np.abs(d) < radius[j, None], axis=1) & is_kernel[j])
+            j, d = j[near], d[near]
+            wave = np.exp(-np.pi * width[j] ** 2 * _dot(d, d) + 1j * (_dot(waves[j], d) + phases[j]))
             if reference is not None:
-                wave = np.where(_dot(n, reference[near]) < 0, wave.conj(), wave)
+                wave = np.where(_dot(normals[j], reference[near]) < 0, wave.conj(), wave)
             total[near] += wave
     return total.reshape(shape)
+
+
+def _at(value: Scalar, places: Floats) -> Floats:
+    return np.asarray(value(places) if callable(value) else np.full(len(places), float(value)))
+
+
+def turned(normal: Floats, isotropy: Floats, place: Floats, width: Floats, dimensions: int, seed: int) -> Floats:
+    """Directions of kernels: uniform in ±90° s of the painted ones in the plane, in caps of half-angle 90° s in space.
+
+    They follow from fields w that are N(0, 1) everywhere.
+
+    Args:
+        normal, place: (N, 3).
+        isotropy, width: (N,) s, and b of the envelopes in 1/mm.
+    """
+    from scipy.special import erf
+
+    if not np.any(isotropy > 0):
+        return normal
+    w = normal_fields(place, width / 2, dimensions, seed)
+    if dimensions == 2:
+        angle = isotropy * np.pi / 2 * erf(w[:, 0] / math.sqrt(2))
+        azimuth = np.arctan2(normal[:, 1], normal[:, 0]) + angle
+        return np.stack([np.cos(azimuth), np.sin(azimuth), np.zeros(len(angle))], axis=-1)
+    across = w - _dot(w, normal)[:, None] * normal
+    length = np.linalg.norm(across, axis=1)
+    beta = np.arccos(1 - (1 - np.exp(-(length**2) / 2)) * (1 - np.cos(isotropy * np.pi / 2)))
+    side = np.cross(across / np.where(length > 0, length, 1)[:, None], normal)
+    return np.asarray(np.cos(beta)[:, None] * normal + np.sin(beta)[:, None] * side)
+
+
+def normal_fields(place: Floats, width: Floats, dimensions: int, seed: int) -> Floats:
+    """Three fields that are N(0, 1) at every place: Σ γ g / √Σ g² over hashed points, g = exp(-π b² d²), cut at 2/b.
+
+    Blended from b = 2^l and 2^(l+1) on either side of the width.
+
+    Args:
+        place: (N, 3) mm.
+        width: (N,) 1/mm.
+
+    Returns:
+        (N, 3).
+    """
+    level = np.floor(np.log2(width))
+    upper = np.log2(width) - level
+    out = np.zeros((len(place), 3))
+    for step, share in ((0, np.sqrt(1 - upper)), (1, np.sqrt(upper))):
+        for b in np.unique(2.0 ** (level + step)):
+            here = np.flatnonzero(2.0 ** (level + step) == b)
+            out[here] += share[here, None] * _normal_fields(place[here] * b, int(np.log2(b)), dimensions, seed)
+    return out
+
+
+def _normal_fields(point: Floats, level: int, dimensions: int, seed: int) -> Floats:
+    """The same of one width; lengths in cells of side 1/b, four points in each."""
+    cell = np.floor(point).astype(np.int64)
+    if dimensions == 2:
+        cell[:, 2] = 0
+        point = point * (1, 1, 0)
+    total, power = np.zeros((len(point), 3)), np.zeros(len(point))
+    steps, number = range(-2, 3), 256 * (level % 256)
+    for offset in product(steps, steps, steps if dimensions == 3 else (0,)):
+        words = cell_words(cell + offset, 4, seed, TURN_PLACES + number)
+        y = (cell + offset)[:, None] + words[..., :3] / 2.0**WORD_BITS
+        u = cell_words(cell + offset, 4, seed, TURN_WEIGHTS + number)
+        radius = np.sqrt(-2 * np.log((u[..., :2] + 0.5) / 2.0**WORD_BITS))  # Box and Muller 1958
+        angle = 2 * np.pi * u[..., 2:] / 2.0**WORD_BITS
+        gamma = np.concatenate([radius * np.cos(angle), radius[..., :1] * np.sin(angle[..., :1])], axis=-1)
+        d = (y - point[:, None]) * ((1, 1, 1) if dimensions == 3 else (1, 1, 0))
+        squared = _dot(d, d)
+        g = np.where(squared < 4, np.exp(-np.pi * squared), 0)
+        total += (gamma * g[..., None]).sum(axis=1)
+        power += (g**2).sum(axis=1)
+    return total / np.sqrt(power)[:, None]
 
 
 def _dot(a: Floats, b: Floats) -> Floats:
@@ -178,6 +269,33 @@ def symmetric_labels(g: NDArray[Any], cumulative: ArrayLike) -> NDArray[np.uint8
     c = np.asarray(cumulative, np.float64)
     beyond = ((share >= c) | (c <= 0)) & (c < 1)
     return np.asarray(1 + np.count_nonzero(beyond, axis=0), np.uint8)
+
+
+def cyclic_labels(g: NDArray[Any], cumulative: ArrayLike) -> NDArray[np.uint8]:
+    """Material numbers (from 1) of the cyclic profile: m where arg G/2π mod 1 is in [c(m-1), c(m)).
+
+    Args:
+        g, cumulative: as in `symmetric_labels`.
+    """
+    share = np.where(g == 0, 0.5, np.arctan2(g.imag, g.real) / (2 * np.pi) % 1)
+    c = np.asarray(cumulative, np.float64)
+    beyond = ((share >= c) | (c <= 0)) & (c < 1)
+    return np.asarray(1 + np.count_nonzero(beyond, axis=0), np.uint8)
+
+
+def jittered(g: NDArray[Any], columns: ArrayLike, rows: ArrayLike, layer: int, wave: ArrayLike, seed: int) -> Complexes:
+    """G as at a random place within each pixel, for dithered edges: turned by wave · u, u uniform in ±½ on each axis.
+
+    Args:
+        g: complex, (rows, columns).
+        columns, rows: numbers of the pixels from the part's corner, broadcasting to g's shape.
+        layer: number of the layer; 0 in 2D.
+        wave: (3,) the laminate's wave in rad per column, row and layer.
+    """
+    column, row = np.broadcast_arrays(columns, rows)
+    counter = np.stack([column, row, np.full(column.shape, layer), np.full(column.shape, EDGES)], axis=-1)
+    u = philox4x32(counter, (seed & WORD_MASK, seed >> WORD_BITS))[..., :3] / 2.0**WORD_BITS - 0.5
+    return np.asarray(g * np.exp(1j * (u @ np.asarray(wave))))
 
 
 def tables(

@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, field_validator, model_validator
 
-from amslicer.fields import FieldSpec
+from amslicer.fields import PLANNED, SOURCES, FieldSpec, source_name
 from amslicer.fields.source import Number
 from amslicer.grid import MM_PER_INCH
 from amslicer.storage import INPUTS, JOB_FILE, MANIFEST
@@ -35,6 +35,7 @@ NOISE_NAMES = (
     "wave-polytope", "wave-stit", "wave-by-example", "random-phase", "asymptotic-spot",
 )  # fmt: skip
 PROFILE_NAMES = ("pwm", "symmetric", "cyclic")
+REST = "rest"  # of a ratio per material: what the others leave
 
 
 class Model(BaseModel):
@@ -124,7 +125,13 @@ class Pattern(Model):
     )
     alignment: Annotated[Whole, Field(ge=0, le=10_000)] = Field(default=0, description="phase-alignment sweeps")
     evaluate: Literal["lattice", "exact"] = Field(default="lattice", description="how G is computed")
-    profile: Literal[PROFILE_NAMES] = Field(default="pwm", description="phase to material")  # type: ignore[valid-type]
+    profile: Literal[PROFILE_NAMES] = Field(  # type: ignore[valid-type]
+        default="pwm",
+        description="phase to material: pwm (= symmetric), A B C B A … across the sheets, or cyclic, A B C A B C …",
+    )
+    edges: Literal["sharp", "dithered"] = Field(
+        default="sharp", description="of sheets: as the pixel centres see them, or unbiased at random within the pixel"
+    )
     seed: Annotated[Whole, Field(ge=0, le=MAX_SEED)] = 1
 
 
@@ -135,24 +142,56 @@ class AzimuthElevation(Model):
     elevation: FieldSpec = Field(default=0.0, description="above the xy plane")
 
 
+class VectorComponents(Model):
+    """A direction in space: three fields of any length together."""
+
+    vector: tuple[FieldSpec, FieldSpec, FieldSpec] = Field(description="along the file's x, y and z axes")
+
+
 def _orientation_kind(value: Any) -> str:
     if isinstance(value, AzimuthElevation) or (isinstance(value, dict) and {"azimuth", "elevation"} & set(value)):
         return "azimuth/elevation"
+    if isinstance(value, VectorComponents) or (isinstance(value, dict) and "vector" in value):
+        return "vector"
     return "field"
 
 
 OrientationSpec = Annotated[
-    Annotated[AzimuthElevation, Tag("azimuth/elevation")] | Annotated[FieldSpec, Tag("field")],
+    Annotated[AzimuthElevation, Tag("azimuth/elevation")]
+    | Annotated[VectorComponents, Tag("vector")]
+    | Annotated[FieldSpec, Tag("field")],
     Discriminator(_orientation_kind),
+]
+
+
+def _share_kind(value: Any) -> str:
+    return REST if value == REST else "share"
+
+
+def _ratio_kind(value: Any) -> str:
+    if not isinstance(value, dict) or set(value) & {*SOURCES, *PLANNED}:
+        return "field"
+    return "per material" if any(v == REST or source_name(v) for v in value.values()) else "field"
+
+
+ShareSpec = Annotated[
+    Annotated[Literal["rest"], Tag(REST)] | Annotated[FieldSpec, Tag("share")], Discriminator(_share_kind)
+]
+RatioSpec = Annotated[
+    Annotated[dict[str, ShareSpec], Tag("per material")] | Annotated[FieldSpec, Tag("field")],
+    Discriminator(_ratio_kind),
 ]
 
 
 class Fields(Model):
     """What is painted on the part."""
 
-    ratio: FieldSpec = Field(description="share of the first material, 0 to 1")
+    ratio: RatioSpec = Field(
+        description="share of the first of two materials, 0 to 1; or a share per material, at most one of them `rest`"
+    )
     orientation: OrientationSpec = Field(
-        default=0.0, description="the laminate's normal: degrees from +x towards +y, or {azimuth, elevation}"
+        default=0.0,
+        description="the laminate's normal: degrees from +x towards +y, {azimuth, elevation}, or {vector: [x, y, z]}",
     )
     isotropy: FieldSpec = Field(default=0.0, description="0: laminate … 1: isotropic")
 
@@ -204,6 +243,7 @@ def key_paths() -> dict[str, str]:
     sections: tuple[tuple[str, type[BaseModel]], ...] = (
         ("", JobFile), ("printer.", Printer), ("part.", PartSettings), ("materials.", Material),
         ("pattern.", Pattern), ("fields.", Fields), ("fields.orientation.", AzimuthElevation),
+        ("fields.orientation.", VectorComponents),
         ("output.", Output), ("gradient.", GradientParameters), *(("", source) for source in SOURCES.values()),
     )  # fmt: skip
     for prefix, model in sections:

@@ -118,7 +118,7 @@ def slice_job(
     ):
         pattern = prepared.pattern(device)
         records: list[LayerRecord] = []
-        asked = 0.0
+        asked = np.zeros(len(job.materials))
         with ThreadPoolExecutor(1) as disk:  # waits for the disk while the next batch is computed
             written: Future[None] | None = None
             for batch in make_layers(prepared, pattern, pool, chosen, run.threads):
@@ -129,13 +129,15 @@ def slice_job(
                     progress(len(records), len(chosen))
                 written = disk.submit(_write, out, [files for _, files in encoded])
                 records.extend(record for record, _ in encoded)
-                asked += sum(made.asked for made in batch)
+                asked += np.sum([made.asked for made in batch], axis=0)
             if written:
                 written.result()
         if progress:
             progress(len(records), len(chosen))
         digest = job.digest(prepared.mesh.sha256, device.label, __version__)
-        manifest = describe_stack(prepared, records, asked, device=device.label, digest=digest, version=__version__)
+        manifest = describe_stack(
+            prepared, records, asked.tolist(), device=device.label, digest=digest, version=__version__
+        )
         for name in job.materials:
             sync_folder(out / name)
         write_atomically(out / MANIFEST, json_bytes(manifest))

@@ -91,9 +91,9 @@ class Reach:
     offset_mm: Floats
 
     @property
-    def slots(self) -> int:
-        """The most tiles that one kernel reaches."""
-        return int((self.last - self.first).max(initial=0)) + 1
+    def tables(self) -> Ints:
+        """(N + 1,) how many tiles all kernels before each one reach, and all of them."""
+        return np.concatenate([[0], np.cumsum(self.last - self.first + 1)])
 
 
 def reach(kernels: Kernels, axis: int, side: float) -> Reach:

@@ -14,7 +14,7 @@ import numpy as np
 
 from amslicer.errors import AmslicerError, JobError, StorageError
 from amslicer.manifest import LayerRecord, placement_of
-from amslicer.pattern import Painted, open_fields
+from amslicer.painted import Painted, open_fields
 from amslicer.stack import Stack, decode_bitmap
 from amslicer.storage import JOB_FILE, storage_errors
 from amslicer.writers.png import layer_path
@@ -128,7 +128,7 @@ class _Findings:
 @dataclass(frozen=True)
 class _LayerCheck:
     pixels: list[int]
-    asked: float
+    asked: list[float]
     problems: list[tuple[str, str]]
 
 
@@ -170,12 +170,12 @@ def verify_stack(
     findings = _Findings()
     for problem in _missing_layers(stack):
         findings.add(FILES, problem)
-    totals, asked = [0] * len(stack.materials), 0.0
+    totals, asked = [0] * len(stack.materials), [0.0] * len(stack.materials)
     with ThreadPoolExecutor(Run(jobs=jobs).threads) as pool:
         ratio = _Ratio(stack, painted)
         for done, result in enumerate(pool.map(lambda r: _check_layer(stack, r, ratio), stack.records), 1):
             totals = [a + b for a, b in zip(totals, result.pixels, strict=True)]
-            asked += result.asked
+            asked = [a + b for a, b in zip(asked, result.asked, strict=True)]
             for law, problem in result.problems:
                 findings.add(law, problem)
             if progress:
@@ -227,11 +227,12 @@ class _Ratio:
         self._shared = None if painted.ratio_depends_on_z else self._map(0)
 
     def at(self, layer: int) -> NDArray[np.float32]:
-        """(H, W), row 0 = largest y."""
+        """(materials - 1, H, W) cumulative ratios, row 0 = largest y."""
         return self._map(layer) if self._shared is None else self._shared
 
     def _map(self, layer: int) -> NDArray[np.float32]:
-        return np.pad(self._painted.ratio_map(self._grid, layer), self._grid.margin_px)[::-1]
+        margin = (self._grid.margin_px, self._grid.margin_px)
+        return np.pad(self._painted.ratio_map(self._grid, layer), ((0, 0), margin, margin))[:, ::-1]
 
 
 def _check_layer(stack: Stack, record: LayerRecord, ratio: _Ratio) -> _LayerCheck:
@@ -265,8 +266,10 @@ def _check_layer(stack: Stack, record: LayerRecord, ratio: _Ratio) -> _LayerChec
         row, column = np.argwhere(claimed > 1)[0]
         where = f"the first in column {column}, row {row}"
         problems.append((PARTITION, f"layer {record.index}: {twice} pixels belong to two materials, {where}"))
-    asked = float(ratio.at(record.index)[claimed > 0].sum(dtype=np.float64))
-    return _LayerCheck(pixels, asked, problems)
+    solid = claimed > 0
+    until = [float(plane[solid].sum(dtype=np.float64)) for plane in ratio.at(record.index)]
+    asked = np.diff([0.0, *until, float(np.count_nonzero(solid))])
+    return _LayerCheck(pixels, [float(a) for a in asked], problems)
 
 
 def _check_totals(stack: Stack, totals: list[int], findings: _Findings) -> None:
@@ -276,17 +279,16 @@ def _check_totals(stack: Stack, totals: list[int], findings: _Findings) -> None:
 
 
 def _material_reports(
-    stack: Stack, job: Job, painted: Painted, totals: list[int], asked: float
+    stack: Stack, job: Job, painted: Painted, totals: list[int], asked: list[float]
 ) -> dict[str, MaterialReport]:
     solid = sum(totals)
-    first = asked / solid if solid else 0.0
     largest = max(sum(r.pixels.values()) for r in stack.records)
-    tolerance = ratio_tolerance(stack.grid, job, painted, first, solid, largest)
-    shares = [first] + [1.0 - first if solid else 0.0] * (len(totals) - 1)
-    return {
-        name: MaterialReport(name, count, count / solid if solid else 0.0, share, tolerance)
-        for name, count, share in zip(stack.materials, totals, shares, strict=True)
-    }
+    reports = {}
+    for name, count, wanted in zip(stack.materials, totals, asked, strict=True):
+        share = wanted / solid if solid else 0.0
+        tolerance = ratio_tolerance(stack.grid, job, painted, share, solid, largest)
+        reports[name] = MaterialReport(name, count, count / solid if solid else 0.0, share, tolerance)
+    return reports
 
 
 def ratio_tolerance(grid: Grid, job: Job, painted: Painted, ratio: float, solid: int, largest: int) -> float:
@@ -299,16 +301,16 @@ def ratio_tolerance(grid: Grid, job: Job, painted: Painted, ratio: float, solid:
     if solid == 0 or not 0 < ratio < 1:
         return 0.0 if solid == 0 else 1.0 / solid
     pattern = job.spec.pattern
-    assert isinstance(pattern.period, float)
-    pixel_periods = grid.pitch_mm[0] * grid.pitch_mm[1] / pattern.period**2
+    period = painted.period_bounds_mm[1]
+    pixel_periods = grid.pitch_mm[0] * grid.pitch_mm[1] / period**2
     area = largest * pixel_periods
     if pattern.dimensions == 3:
         # Layers further apart than an envelope's width are different laminates: their ratios average.
-        depth = pattern.period / pattern.bandwidth
+        depth = period / pattern.bandwidth
         area = max(area, solid * pixel_periods * grid.layer_mm / depth)
     sigma = SPREAD * pattern.bandwidth * math.sin(math.pi * ratio) / math.sqrt(area)
     size = painted.placement.size_mm
     corners = np.array([[0.0, 0.0, 0.0], size / 2, size])
-    across = float(np.min(np.abs(painted.normals(corners)) @ size)) / pattern.period
+    across = float(np.min(np.abs(painted.normals(corners)) @ size)) / period
     faces = ratio * (1 - ratio) / max(across, 1.0)
     return SIGMAS * sigma + faces + PIXEL_SHARE / math.sqrt(solid)

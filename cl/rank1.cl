@@ -29,7 +29,7 @@ kernel void rank1(global float *restrict field, global const int2 *restrict tile
                   global const uint *restrict entries, global const float *restrict table_x,
                   global const float *restrict table_y, global const Axis *restrict axes_x,
                   global const Axis *restrict axes_y, global const float2 *restrict along_z,
-                  const uint kernel_count, const uint slots, const uint first_tile)
+                  const uint kernel_count, const uint first_tile)
 {
     // Layers first: a tile's tables stay in the cache while its layers are made.
     const uint layer = (uint)get_global_id(0);
@@ -54,8 +54,8 @@ kernel void rank1(global float *restrict field, global const int2 *restrict tile
             const float2 z = along_z[(size_t)layer * kernel_count + j];
             if (z.x == 0.0f && z.y == 0.0f) continue;      // does not reach this layer
             const int k = IS_OPPOSITE(entries[e]) ? --opposite : same++;
-            const size_t slot_x = (size_t)j * slots + (size_t)(tile.x - axes_x[j].tile);
-            const size_t slot_y = (size_t)j * slots + (size_t)(tile.y - axes_y[j].tile);
+            const size_t slot_x = (size_t)axes_x[j].table + (size_t)(tile.x - axes_x[j].tile);
+            const size_t slot_y = (size_t)axes_y[j].table + (size_t)(tile.y - axes_y[j].tile);
             global const floatV *y = (global const floatV *)(table_y + slot_y * 2 * TILE);
             x[k] = (global const floatV *)(table_x + slot_x * 2 * TILE);
             for (int v = 0; v < VECTORS; ++v) {

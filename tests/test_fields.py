@@ -22,12 +22,13 @@ from pydantic import TypeAdapter
 from amslicer import JobError, load_job
 from amslicer.fields import FieldSpec, Frame, Inputs, Sampler, open_field
 from amslicer.fields.image import read_grey
-from amslicer.fields.orientation import Orientation
+from amslicer.fields.orientation import Angles, Orientation
 from amslicer.fields.source import blend
 from amslicer.pipeline import prepare
 from amslicer.placement import Placement, place
-from amslicer.profile import symmetric_thresholds
+from amslicer.profile import PROFILES
 
+THRESHOLDS = PROFILES["pwm"].thresholds
 Floats = NDArray[np.float64]
 
 # A part away from the file's origin, with three different sides.
@@ -249,20 +250,20 @@ def test_the_same_value_gives_the_same_bits(way: str) -> None:
     spec, pictures = WAYS[way]
     found = values(sampler(spec, **pictures))
     assert np.array_equal(found, np.full(300, 0.2))
-    bits = symmetric_thresholds(found).view(np.uint32)
-    assert np.array_equal(bits, symmetric_thresholds(np.full(300, 0.2)).view(np.uint32))
+    bits = THRESHOLDS(found).view(np.uint32)
+    assert np.array_equal(bits, THRESHOLDS(np.full(300, 0.2)).view(np.uint32))
 
 
 def test_the_threshold_of_a_fifth() -> None:
     """cos(π/5) = (1 + √5) / 4, whose square is the threshold."""
-    assert symmetric_thresholds(np.array([0.2]))[0] == np.float32(((1 + np.sqrt(5)) / 4) ** 2)
+    assert THRESHOLDS(np.array([0.2]))[0] == np.float32(((1 + np.sqrt(5)) / 4) ** 2)
 
 
 @pytest.mark.parametrize("way", WAYS)
 def test_the_same_angle_gives_the_same_normals(way: str) -> None:
     spec, pictures = WAYS[way]
-    found = normals(Orientation(sampler(spec, **pictures)))
-    assert np.array_equal(found, normals(Orientation(sampler(0.2))))
+    found = normals(Angles(sampler(spec, **pictures)))
+    assert np.array_equal(found, normals(Angles(sampler(0.2))))
 
 
 # Orientation
@@ -300,7 +301,7 @@ def from_line(found: float, expected: float) -> float:
     ],
 )
 def test_a_constant_angle(angle_deg: float, normal: tuple[float, float, float]) -> None:
-    np.testing.assert_allclose(normals(Orientation(sampler(angle_deg)))[0], normal, rtol=0, atol=ROUNDING)
+    np.testing.assert_allclose(normals(Angles(sampler(angle_deg)))[0], normal, rtol=0, atol=ROUNDING)
 
 
 @pytest.mark.parametrize(
@@ -316,20 +317,20 @@ def test_a_constant_angle(angle_deg: float, normal: tuple[float, float, float]) 
     ],
 )
 def test_azimuth_and_elevation(azimuth: float, elevation: float, normal: tuple[float, float, float]) -> None:
-    found = normals(Orientation(sampler(azimuth), sampler(elevation)))
+    found = normals(Angles(sampler(azimuth), sampler(elevation)))
     np.testing.assert_allclose(found[0], normal, rtol=0, atol=ROUNDING)
 
 
 def test_a_gradient_of_an_angle_is_a_plain_number() -> None:
     """Half way from 1 to 179 degrees is 90, though as lines they are 2 degrees apart."""
-    field = Orientation(sampler({"gradient": {"axis": "x", "from": 1, "to": 179}}))
+    field = Angles(sampler({"gradient": {"axis": "x", "from": 1, "to": 179}}))
     angles = np.deg2rad(1 + np.clip(POINTS[:, 0] / 4, 0, 1) * 178)
     expected = np.stack([np.cos(angles), np.sin(angles), np.zeros(300)], axis=-1)
     np.testing.assert_allclose(normals(field), expected, rtol=0, atol=ROUNDING)
 
 
 def test_gradients_of_azimuth_and_elevation_are_plain_numbers() -> None:
-    field = Orientation(
+    field = Angles(
         sampler({"gradient": {"axis": "x", "from": 1, "to": 179}}),
         sampler({"gradient": {"axis": "y", "from": -80, "to": 80}}),
     )
@@ -348,14 +349,14 @@ def test_pictures_of_angles_are_averaged_as_lines(
     one: float, other: float, between: float, shape: tuple[int, int]
 ) -> None:
     picture = png(np.array([0, 255]).reshape(shape))
-    field = Orientation(sampler({"image": "a", "range": [one, other]}, a=picture))
+    field = Angles(sampler({"image": "a", "range": [one, other]}, a=picture))
     found = normals(field, middle(shape))[0]
     assert from_line(line_angle(found), between) < 1e-9
     assert np.linalg.norm(found) == pytest.approx(1, abs=ROUNDING)
 
 
 def test_lines_are_averaged_by_their_doubled_angle() -> None:
-    field = Orientation(sampler({"image": "a", "range": [10, 70]}, a=png([[0, 255]])))
+    field = Angles(sampler({"image": "a", "range": [10, 70]}, a=png([[0, 255]])))
     for x in np.linspace(0, 4, 17):
         share = np.clip(x / 4 * 2 - 0.5, 0, 1)
         vector = (1 - share) * np.exp(2j * np.deg2rad(10)) + share * np.exp(2j * np.deg2rad(70))
@@ -365,7 +366,7 @@ def test_lines_are_averaged_by_their_doubled_angle() -> None:
 
 def test_a_uniform_picture_keeps_its_sign() -> None:
     """-90 painted everywhere is the direction of the number -90."""
-    field = Orientation(sampler({"image": "a", "range": [-90, 90]}, a=png(np.zeros((4, 4)))))
+    field = Angles(sampler({"image": "a", "range": [-90, 90]}, a=png(np.zeros((4, 4)))))
     np.testing.assert_allclose(normals(field), np.tile([0, -1, 0], (300, 1)), rtol=0, atol=ROUNDING)
 
 
@@ -385,7 +386,7 @@ def test_an_azimuth_that_flips_with_its_elevation_is_the_same_line(
     turned = np.deg2rad(azimuth_deg)
     expected = np.array([np.cos(up) * np.cos(turned), np.cos(up) * np.sin(turned), np.sin(up)])
     for x in (0.0, 1.0, 1.5, 1.9, 2.0, 2.3, 4.0):
-        found = normals(Orientation(azimuth, elevation), np.array([[x, 1.0, 0.5]]))[0]
+        found = normals(Angles(azimuth, elevation), np.array([[x, 1.0, 0.5]]))[0]
         assert abs(found @ expected) == pytest.approx(1, abs=1e-12)
 
 
@@ -393,7 +394,7 @@ def test_lines_in_space_are_averaged_through_their_tensor() -> None:
     """Two normals at equal weight: the mean line is the bisector of their smaller angle."""
     rng = np.random.default_rng(4)
     for azimuths, elevations in zip(rng.integers(-180, 181, (30, 2)), rng.integers(-90, 91, (30, 2)), strict=True):
-        field = Orientation(
+        field = Angles(
             sampler({"image": "a", "range": [int(a) for a in azimuths]}, a=png([[0, 255]])),
             sampler({"image": "a", "range": [int(e) for e in elevations]}, a=png([[0, 255]])),
         )
@@ -418,7 +419,7 @@ def test_normals_are_unit_vectors(
     azimuth = sampler({"image": "a", "range": list(spread)}, a=png(np.reshape(azimuths, (2, 2))))
     shape = (2, 2) if pair else (1, 4)
     elevation = sampler({"image": "a", "range": [-90, 90]}, a=png(np.reshape(elevations, shape)))
-    found = normals(Orientation(azimuth, elevation if solid else None))
+    found = normals(Angles(azimuth, elevation if solid else None))
     assert found.shape == (300, 3)
     np.testing.assert_allclose(np.linalg.norm(found, axis=1), 1, rtol=0, atol=1e-9)
 
@@ -590,14 +591,14 @@ def test_a_ratio_that_leaves_with_the_height_is_refused_in_its_layer(tmp_path: P
 def test_the_ratio_is_sampled_at_the_pixel_centres(tmp_path: Path) -> None:
     prepared = prepare(box_job(tmp_path, {"gradient": {"axis": "x", "from": 0.0, "to": 0.9}}))
     found = prepared.painted.ratio_map(prepared.grid, 3)
-    assert found.shape == (40, 30)
-    np.testing.assert_allclose(found, np.tile((np.arange(30) + 0.5) * 0.1 * 0.3, (40, 1)), atol=1e-6)
+    assert found.shape == (1, 40, 30)
+    np.testing.assert_allclose(found[0], np.tile((np.arange(30) + 0.5) * 0.1 * 0.3, (40, 1)), atol=1e-6)
 
 
 def test_row_0_is_the_lowest_y(tmp_path: Path) -> None:
     (tmp_path / "a.png").write_bytes(png([[255], [0]]))  # white on top
     prepared = prepare(box_job(tmp_path, {"image": "a.png"}))
-    found = prepared.painted.ratio_map(prepared.grid, 0)
+    found = prepared.painted.ratio_map(prepared.grid, 0)[0]
     assert found[0, 0] == 0
     assert found[-1, 0] == 1
 
@@ -688,5 +689,5 @@ def test_directions_turn_with_the_part(
     rotate_deg: tuple[float, float, float], normal: tuple[float, float, float]
 ) -> None:
     placement = placed(rotate_deg=rotate_deg, scale=3.0)
-    turned = placement.turn(normals(Orientation(sampler(30)), INSIDE))
+    turned = placement.turn(normals(Angles(sampler(30)), INSIDE))
     np.testing.assert_allclose(turned, np.tile(normal, (50, 1)), rtol=0, atol=1e-12)

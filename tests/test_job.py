@@ -89,6 +89,7 @@ def test_materials_and_ratio_are_enough() -> None:
             "alignment": 0,
             "evaluate": "lattice",
             "profile": "pwm",
+            "edges": "sharp",
             "seed": 1,
         },
         "fields": {"ratio": 0.3, "orientation": 0.0, "isotropy": 0.0},
@@ -310,13 +311,7 @@ def test_refused_with_its_key(key: str, value: Any, said: str) -> None:
     [
         ("pattern.noise", "gabor"),
         ("pattern.noise", "asymptotic-spot"),
-        ("pattern.profile", "cyclic"),
         ("pattern.alignment", 3),
-        ("pattern.period", GRADIENT),
-        ("fields.isotropy", 0.5),
-        ("fields.isotropy", GRADIENT),
-        ("materials", ["a", "b", "c"]),
-        ("fields.ratio", {"expression": "0.5"}),
         ("fields.ratio", {"volume": "ratio.npy"}),
         ("fields.ratio", {"vertex": "name"}),
         ("fields.ratio", {"distance": {"from": 0.2, "to": 0.8, "depth": 2.0}}),
@@ -324,8 +319,6 @@ def test_refused_with_its_key(key: str, value: Any, said: str) -> None:
         ("fields.ratio", {"texture": "grain.png"}),
         ("fields.ratio", {"strokes": []}),
         ("fields.ratio", {"mix": []}),
-        ("fields.orientation", {"vector": [1, 0, 0]}),
-        ("fields.orientation", {"azimuth": {"expression": "x"}}),
     ],
 )
 def test_what_is_not_built_yet_says_so(key: str, value: Any) -> None:
@@ -337,9 +330,6 @@ def test_what_is_not_built_yet_says_so(key: str, value: Any) -> None:
 @pytest.mark.parametrize(
     ("key", "value", "named"),
     [
-        ("fields.ratio", {"rigid": 0.3, "flexible": "rest"}, "fields.ratio"),
-        ("fields.ratio", {"gradient": {"center": [0, 0, 0], "radius": 3, "from": 0, "to": 1}}, "fields.ratio.gradient"),
-        ("fields.ratio", {"image": "r.png", "plane": "xz"}, "fields.ratio.plane"),
         ("output.format", "tiff", "output.format"),
         ("output.format", "grabcad", "output.format"),
         ("pattern.exemplar", "grain.png", "pattern.exemplar"),

@@ -17,7 +17,9 @@ from numpy.typing import NDArray
 from amslicer import reference
 from amslicer.device import Device
 from amslicer.evaluator import AXIS, work_shape
-from amslicer.profile import symmetric_thresholds
+from amslicer.generator import DeviceGenerator
+from amslicer.noise import turn
+from amslicer.profile import PROFILES
 from amslicer.resources import resource_folder
 from amslicer.tiles import Tiling
 
@@ -100,7 +102,9 @@ def test_each_file_builds_alone(device: Device, file: Path) -> None:
 
 
 def test_every_file_is_tried() -> None:
-    assert {"along_z", "fill", "impulses", "per_pixel", "profile", "rank1", "tables"} <= {f.stem for f in FILES}
+    assert {"along_z", "fill", "impulses", "normal_fields", "per_pixel", "profile", "rank1", "tables"} <= {
+        f.stem for f in FILES
+    }
 
 
 @pytest.mark.parametrize("shape", SHAPES, ids=str)
@@ -109,13 +113,14 @@ def test_tables(device: Device, count: int, shape: tuple[int, int]) -> None:
     slots, pitch = 3, np.float32(25.4 / 600)
     pixels = slots * shape[0]
     offset, wave, decay, radius = some_kernels(count, count, pixels, float(pitch))
-    axes = np.zeros(count, AXIS)
-    axes["offset"], axes["wave"] = offset, wave
+    axes = np.zeros(count + 1, AXIS)
+    axes["offset"][:-1], axes["wave"][:-1] = offset, wave
+    axes["table"] = slots * np.arange(count + 1)
     got = np.full((count, slots, 2, shape[0]), np.nan, np.float32)
     buffer = device.empty(got.nbytes)
     device.kernel("tables", constants(device, shape))(
         device.queue, (count,), (1,), buffer, device.buffer(axes),
-        device.buffer(np.stack([decay, radius], axis=-1)), pitch, np.int32(slots),
+        device.buffer(np.stack([decay, radius], axis=-1)), pitch,
     )  # fmt: skip
     device.read(buffer, got)
     got_complex = (got[:, :, 0] + 1j * got[:, :, 1]).reshape(count, pixels)
@@ -193,7 +198,8 @@ def test_fill_twin_on_rows_drawn_by_hand() -> None:
 
 def device_labels(
     device: Device, g: NDArray[np.complex64], cumulative: Floats, solid: NDArray[np.uint8],
-    shape: tuple[int, int] = SHAPES[0],
+    shape: tuple[int, int] = SHAPES[0], profile: str = "symmetric", wave: Floats | None = None, seed: int = 0,
+    first_layer: int = 0,
 ) -> NDArray[np.uint8]:  # fmt: skip
     """cl/profile.cl on (layers, rows, columns) of G, a multiple of the tile each, tiles in reverse order."""
     layers, rows, columns = g.shape
@@ -202,13 +208,19 @@ def device_labels(
     slots = np.arange(len(tiles), dtype=np.uint32)[::-1]
     cut = g.reshape(layers, rows // tile, tile, columns // tile, tile).transpose(0, 1, 3, 2, 4)
     field = np.stack([cut.real, cut.imag], axis=-2)
-    thresholds = np.broadcast_to(symmetric_thresholds(cumulative), (len(cumulative), rows, columns))
+    kind = PROFILES[profile]
+    thresholds = np.broadcast_to(kind.thresholds(cumulative), (len(cumulative), rows, columns))
+    waves = np.zeros((len(tiles), 4), np.float32)
+    waves[:, :3] = 0.0 if wave is None else wave
+    macros = {**constants(device, shape), "CYCLIC": kind.cyclic, "DITHERED": wave is not None}
     labels = np.zeros(g.shape, np.uint8)
     out = zeroed(device, labels.nbytes)
-    device.kernel("profile", constants(device, shape))(
+    device.kernel("profile", macros)(
         device.queue, (tile, len(tiles), layers), (tile, 1, 1), out, device.buffer(field), device.buffer(solid),
         device.buffer(thresholds), device.buffer(tiles), device.buffer(slots), np.uint32(len(cumulative)),
         np.array([columns, rows], np.uint32), np.uint32(len(tiles)), np.uint32(layers), np.uint32(0),
+        device.buffer(waves), np.array([seed & 0xFFFFFFFF, seed >> 32], np.uint32), np.uint32(reference.EDGES),
+        np.uint32(first_layer), np.uint32(0),
     )  # fmt: skip
     device.read(out, labels)
     return labels
@@ -240,6 +252,61 @@ def test_profile(device: Device, cumulative: list[float], tiles: tuple[int, int,
     tied = ties(g, ratios[:, None])
     assert np.count_nonzero(tied) <= 2
     assert np.array_equal(got[~tied], expected[~tied])
+
+
+@pytest.mark.parametrize("shape", SHAPES, ids=str)
+@pytest.mark.parametrize("cumulative", [[0.5], [0.25], [0.75], [0.001], [0.999], [0.2, 0.7], [0.0, 0.3, 0.3, 1.0]])
+def test_cyclic_profile(device: Device, cumulative: list[float], shape: tuple[int, int]) -> None:
+    g = random_phasors((2, 2 * shape[0], 3 * shape[0]), 7)
+    ratios = np.array(cumulative)[:, None, None]
+    got = device_labels(device, g, ratios, np.ones(g.shape, np.uint8), shape, "cyclic")
+    expected = reference.cyclic_labels(g, ratios[:, None])
+    share = np.angle(g.astype(np.complex128)) / (2 * np.pi) % 1
+    # The key goes with the squared sine of the angle from its ends: near those, 4 · 2^-24 of it is √ of that in angle.
+    tied = np.any(np.abs(share - ratios[:, None]) < 2e-4, axis=0)
+    assert np.count_nonzero(tied) <= 20
+    assert np.array_equal(got[~tied], expected[~tied])
+
+
+@pytest.mark.parametrize(("share", "material"), [(0.0, 1), (0.125, 1), (0.25, 2), (0.5, 2), (0.75, 3), (0.875, 3)])
+def test_cyclic_materials_follow_each_other_through_the_whole_turn(device: Device, share: float, material: int) -> None:
+    """Quarters of a turn at ratios ¼, ½, ¼; thresholds at exact phases belong to the next material."""
+    g = np.full((1, 32, 32), EXACT[round(8 * share)], np.complex64)
+    ratios = np.array([0.25, 0.75])[:, None, None]
+    assert np.all(device_labels(device, g, ratios, np.ones(g.shape, np.uint8), profile="cyclic") == material)
+    assert np.all(reference.cyclic_labels(g, ratios[:, None]) == material)
+
+
+@pytest.mark.parametrize("shape", SHAPES, ids=str)
+@pytest.mark.parametrize("seed", [0, 2**40 + 5])
+def test_dithered_edges(device: Device, seed: int, shape: tuple[int, int]) -> None:
+    g = random_phasors((3, 2 * shape[0], 2 * shape[0]), 8)
+    wave, ratios = np.array([0.6, -0.2, 0.1]), np.array([0.2, 0.7])[:, None, None]
+    got = device_labels(device, g, ratios, np.ones(g.shape, np.uint8), shape, wave=wave, seed=seed, first_layer=5)
+    rows, columns = np.arange(g.shape[1])[:, None], np.arange(g.shape[2])[None, :]
+    turned = np.stack([reference.jittered(g[i], columns, rows, 5 + i, wave, seed) for i in range(len(g))])
+    expected = reference.symmetric_labels(turned, ratios[:, None])
+    share = np.abs(np.angle(turned)) / np.pi
+    tied = np.any(np.abs(share - ratios[:, None]) < 2e-6, axis=0)  # float32 turns by the wave's rounding
+    assert np.count_nonzero(tied) <= 3
+    assert np.array_equal(got[~tied], expected[~tied])
+    assert np.any(got != device_labels(device, g, ratios, np.ones(g.shape, np.uint8), shape))
+
+
+@pytest.mark.parametrize("dimensions", [2, 3])
+@pytest.mark.parametrize("count", [1, 63, 257])
+@pytest.mark.parametrize("width", [0.25, 0.3, 7.0])
+def test_normal_fields(device: Device, width: float, count: int, dimensions: int) -> None:
+    """The fields that turn directions, through the module that asks for them, far from the origin too."""
+    random = np.random.default_rng(count)
+    place = np.array([40.0, -25.0, 0.0]) + random.uniform(-3, 3, (count, 3))
+    widths = width * random.uniform(0.5, 2.0, count)
+    if dimensions == 2:
+        place[:, 2] = 0.0
+    got = turn._normal_fields(place, widths, dimensions, 2**33 + 1, DeviceGenerator(device))
+    expected = reference.normal_fields(place, widths, dimensions, 2**33 + 1)
+    # A distance of up to 2 cells in float32, times the steepest slope of g, summed over some ten points.
+    assert np.max(np.abs(got - expected)) < 2e-5
 
 
 def test_profile_with_a_ratio_of_its_own_at_every_pixel(device: Device) -> None:

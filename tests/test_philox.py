@@ -9,8 +9,10 @@ import pyopencl as cl
 import pytest
 from numpy.typing import NDArray
 
+from amslicer import pattern
 from amslicer.device import Device
-from amslicer.reference import cell_words, impulses_of, philox4x32
+from amslicer.noise import kernels
+from amslicer.reference import CHOICES, EDGES, TURN_PLACES, TURN_WEIGHTS, cell_words, impulses_of, philox4x32
 from amslicer.resources import resource_folder
 
 # Philox-4x32-10 in kat_vectors of the Random123 distribution (D. E. Shaw Research): counter, key, answer.
@@ -35,7 +37,7 @@ def device() -> Iterator[Device]:
 
 
 def draw(
-    device: Device, first: tuple[int, int, int], count: tuple[int, int, int], per_cell: int, seed: int
+    device: Device, first: tuple[int, int, int], count: tuple[int, int, int], per_cell: int, seed: int, number: int = 0
 ) -> NDArray[np.uint32]:
     """(z, y, x, per_cell, 4) words of a box of cells, from cl/impulses.cl; a guard behind them must stay."""
     words = np.full((np.prod(count) * per_cell + 1, 4), 0xDEADBEEF, np.uint32)
@@ -43,15 +45,18 @@ def draw(
     device.run(
         device.kernel("impulses"), len(words) - 1, buffer, np.array([*first, 0], np.int32),
         np.array([*count, per_cell], np.uint32), np.array([seed & 0xFFFFFFFF, seed >> 32], np.uint32),
+        np.uint32(number),
     )  # fmt: skip
     device.read(buffer, words)
     assert np.all(words[-1] == 0xDEADBEEF)
     return words[:-1].reshape(*count[::-1], per_cell, 4)
 
 
-def twin(first: tuple[int, int, int], count: tuple[int, int, int], per_cell: int, seed: int) -> NDArray[np.uint32]:
+def twin(
+    first: tuple[int, int, int], count: tuple[int, int, int], per_cell: int, seed: int, number: int = 0
+) -> NDArray[np.uint32]:
     z, y, x = np.meshgrid(*(first[a] + np.arange(count[a]) for a in (2, 1, 0)), indexing="ij")
-    return cell_words(np.stack([x, y, z], axis=-1), per_cell, seed)
+    return cell_words(np.stack([x, y, z], axis=-1), per_cell, seed, number)
 
 
 @pytest.mark.parametrize(("counter", "key", "answer"), KNOWN)
@@ -111,6 +116,26 @@ def test_device_and_twin_agree_on_a_box_of_cells(
     device: Device, first: tuple[int, int, int], count: tuple[int, int, int], per_cell: int, seed: int
 ) -> None:
     assert np.array_equal(draw(device, first, count, per_cell, seed), twin(first, count, per_cell, seed))
+
+
+@pytest.mark.parametrize("number", [CHOICES, TURN_PLACES + 256 * 255, TURN_WEIGHTS + 256 * 3])
+def test_device_and_twin_agree_on_other_uses_of_a_cell(device: Device, number: int) -> None:
+    box = (-2, 3, -1), (3, 2, 2), 4, 2**40 + 7
+    drawn = draw(device, *box, number)
+    assert np.array_equal(drawn, twin(*box, number))
+    assert not np.any(drawn == draw(device, *box))  # 192 words, each equal with probability 2^-32
+
+
+def test_no_two_uses_share_a_counter() -> None:
+    """Up to 100 impulses and choices, 4 points of 256 levels, and the edges: all fourth words differ."""
+    levels = 256 * np.arange(256)[:, None] + np.arange(4)
+    uses = [np.arange(100), CHOICES + np.arange(100), TURN_PLACES + levels, TURN_WEIGHTS + levels, [EDGES]]
+    numbers = np.concatenate([np.ravel(use) for use in uses])
+    assert len(np.unique(numbers)) == len(numbers)
+    assert numbers.max() < 2**32
+    assert (kernels.IMPULSES, kernels.CHOICE, kernels.TURN_PLACES, kernels.TURN_WEIGHTS, pattern.EDGES) == (
+        0, CHOICES, TURN_PLACES, TURN_WEIGHTS, EDGES,
+    )  # fmt: skip
 
 
 def test_a_cell_does_not_depend_on_the_box_it_is_drawn_in(device: Device) -> None:

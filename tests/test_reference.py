@@ -21,7 +21,7 @@ import amslicer
 from amslicer.device import Device
 from amslicer.noise.phasor import truncation_radius
 from amslicer.pipeline import Prepared, Run, prepare
-from amslicer.reference import cells_of, cut_radius, impulses_of, phasor, symmetric_labels
+from amslicer.reference import cells_of, cut_radius, cyclic_labels, impulses_of, jittered, phasor, symmetric_labels
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complexfloating[Any, Any]]
@@ -40,6 +40,8 @@ class Case:
     Attributes:
         orientation: "constant", "graded" along x (and up y or z), or "painted" with a defect in the middle.
         corner_mm: where the part stands in its file.
+        isotropy: at the lowest and the highest y.
+        period_end: at the highest x; None keeps it constant.
     """
 
     dimensions: int
@@ -54,10 +56,24 @@ class Case:
     layer_mm: float = 0.0625
     seed: int = 1
     impulses: float | None = None
+    isotropy: tuple[float, float] = (0.0, 0.0)
+    period_end: float | None = None
+    materials: int = 2
+    profile: str = "pwm"
+    edges: str = "sharp"
 
     def __str__(self) -> str:
         dpi = "x".join(map(str, self.dpi))
-        return f"{self.dimensions}D-{self.orientation}-p{self.period:g}-B{self.bandwidth:g}-{dpi}"
+        name = f"{self.dimensions}D-{self.orientation}-p{self.period:g}-B{self.bandwidth:g}-{dpi}"
+        extras = [f"s{self.isotropy[0]:g}..{self.isotropy[1]:g}"] if any(self.isotropy) else []
+        extras += [f"to-p{self.period_end:g}"] if self.period_end else []
+        extras += [f"{self.materials}-{self.profile}"] if self.materials > 2 else []
+        return "-".join([name, *extras, *([self.edges] if self.edges != "sharp" else [])])
+
+    @property
+    def periods(self) -> tuple[float, float]:
+        ends = self.period, self.period_end or self.period
+        return min(ends), max(ends)
 
 
 SMALL, WIDE, AWAY = (4.25, 3.0, 1.5), (9.0, 6.5, 2.0), (-17.5, -3.25, -40.0)
@@ -76,7 +92,19 @@ CASES = [
     Case(3, "painted", 3, 0.25, (300, 300), WIDE, layer=16),
     Case(3, "painted", 1, 0.5, (600, 300), SMALL, AWAY, margin_px=5, layer=9, seed=2**32),
     Case(3, "painted", 0.5, 0.25, (600, 600), SMALL, layer=20, seed=2**64 - 1),
+    Case(2, "constant", 1, 0.5, (600, 300), SMALL, AWAY, isotropy=(1, 1)),
+    Case(2, "painted", 0.5, 1, (300, 300), SMALL, isotropy=(0, 0.7), seed=2**32, materials=5, profile="symmetric"),
+    Case(3, "graded", 1, 0.5, (300, 300), SMALL, layer=20, isotropy=(0, 1), materials=3, profile="symmetric"),
+    Case(3, "painted", 1, 1, (300, 300), SMALL, AWAY, layer=3, isotropy=(0.4, 0.4), seed=0),
+    Case(2, "graded", 0.5, 0.5, (600, 300), SMALL, AWAY, period_end=2.0, margin_px=4),
+    Case(3, "constant", 1.3, 1, (300, 300), SMALL, layer=9, period_end=0.6, isotropy=(1, 0.2), impulses=2.5),
+    Case(2, "constant", 1, 0.5, (600, 300), SMALL, materials=4, profile="cyclic"),
+    Case(3, "graded", 1, 1, (300, 300), SMALL, AWAY, layer=5, materials=3, profile="cyclic", seed=2**32),
+    Case(2, "constant", 1, 0.25, (300, 300), SMALL, AWAY, edges="dithered"),
+    Case(3, "constant", 1, 1, (300, 600), SMALL, layer=18, edges="dithered", materials=3, profile="cyclic"),
 ]
+# Shares of the materials but the first, whose painted ratio they halve: see make_job and cumulative.
+SHARE = 0.1
 DEFECTS = [case for case in CASES if case.orientation == "painted" and case.bandwidth == 0.5]
 
 
@@ -133,17 +161,26 @@ def make_job(case: Case, folder: Path) -> amslicer.Job:
     }[case.orientation]
     if case.orientation == "painted":
         paint_defect(folder)
+    period: Any = float(case.period)
+    if case.period_end:
+        period = {"gradient": {"axis": "x", "from": period, "to": float(case.period_end)}}
     pattern = {
-        "dimensions": case.dimensions, "period": float(case.period), "bandwidth": float(case.bandwidth),
-        "seed": case.seed,
+        "dimensions": case.dimensions, "period": period, "bandwidth": float(case.bandwidth),
+        "seed": case.seed, "profile": case.profile, "edges": case.edges,
     }  # fmt: skip
+    ratio: Any = {"gradient": {"axis": "y", "from": RATIO_ENDS[0], "to": RATIO_ENDS[1]}}
+    names = [f"m{i}" for i in range(case.materials)]
+    if case.materials > 2:
+        halved = {"gradient": {"axis": "y", "from": RATIO_ENDS[0] / 2, "to": RATIO_ENDS[1] / 2}}
+        ratio = {names[0]: halved, names[1]: "rest", **dict.fromkeys(names[2:], SHARE)}
     return amslicer.load_job(
         {
             "printer": {"dpi": list(case.dpi), "layer_mm": case.layer_mm, "margin_px": case.margin_px},
-            "materials": ["hard", "soft"],
+            "materials": names,
             "pattern": pattern if case.impulses is None else {**pattern, "impulses": case.impulses},
             "fields": {
-                "ratio": {"gradient": {"axis": "y", "from": RATIO_ENDS[0], "to": RATIO_ENDS[1]}},
+                "ratio": ratio,
+                "isotropy": {"gradient": {"axis": "y", "from": case.isotropy[0], "to": case.isotropy[1]}},
                 "orientation": azimuth if flat else {"azimuth": azimuth, "elevation": elevation},
             },
         },
@@ -165,6 +202,16 @@ def normals_of(case: Case, prepared: Prepared) -> Normals:
     return graded
 
 
+def cumulative(case: Case, prepared: Prepared) -> Floats:
+    """(materials - 1, height, 1) painted shares of the materials up to one, margin included."""
+    _, y, _ = pixel_centres(case, prepared)
+    first = RATIO_ENDS[0] + (RATIO_ENDS[1] - RATIO_ENDS[0]) * np.clip(y / case.size_mm[1], 0, 1)
+    if case.materials == 2:
+        return first[None]
+    after = [np.full(first.shape, 1 - SHARE * n) for n in range(case.materials - 2, 0, -1)]
+    return np.stack([first / 2, *after])
+
+
 def tile_centres(case: Case, prepared: Prepared) -> Floats:
     """(height, width, 3) centre of the tile, counted from the part's corner, that each pixel is in."""
     tiling, pitch = prepared.tiling, 25.4 / np.array(case.dpi)
@@ -184,12 +231,18 @@ def pixel_centres(case: Case, prepared: Prepared) -> tuple[Floats, Floats, float
 
 def twin(case: Case, prepared: Prepared, *, signs: bool = True, **changed: Any) -> NDArray[np.complex128]:
     """The reference's G over a layer, with the sign of each tile."""
+
+    def along(axis: int, start: float, end: float | None) -> Callable[[Floats], Floats]:
+        stop = start if end is None else end
+        return lambda p: start + (stop - start) * np.clip(p[:, axis] / case.size_mm[axis], 0, 1)
+
     normal = normals_of(case, prepared)
     centres = tile_centres(case, prepared)
     reference_normal = normal(centres.reshape(-1, 3)).reshape(centres.shape) if signs else None
     settings: dict[str, Any] = {
-        "period": case.period, "bandwidth": case.bandwidth, "dimensions": case.dimensions, "seed": case.seed,
-        "normal": normal, "reference_normal": reference_normal, "impulses": case.impulses or 4.0,
+        "period": along(0, case.period, case.period_end), "bandwidth": case.bandwidth, "dimensions": case.dimensions,
+        "seed": case.seed, "normal": normal, "reference_normal": reference_normal, "impulses": case.impulses or 4.0,
+        "isotropy": along(1, *case.isotropy), "periods": case.periods,
     }  # fmt: skip
     return phasor(*pixel_centres(case, prepared), **{**settings, **changed})
 
@@ -212,7 +265,8 @@ def most_flips(pixels: int) -> float:
 
     G is nearly complex Gaussian with E|G|² = σ². An independent error of rms e·σ turns its phase by e·σ/√π/|G| on
     average, and E[1/|G|] = √π/σ: by e. The phase is uniform, and passes one of the two thresholds ±πρ with the
-    probability 2·e/2π = e/π. Two pixels more, because a count so far below 1 has no smaller bound.
+    probability 2·e/2π = e/π for two materials, and proportionally for more. Two pixels more, because a count so far
+    below 1 has no smaller bound.
     """
     return pixels * ERROR / math.pi + 2
 
@@ -235,16 +289,28 @@ def test_device_and_twin_agree(device: Device, folder: Path, case: Case) -> None
 
     (layer,) = amslicer.layers(job, Run(layers=(case.layer, case.layer + 1)))
     x, y, z = pixel_centres(case, prepared)
-    ratio = RATIO_ENDS[0] + (RATIO_ENDS[1] - RATIO_ENDS[0]) * np.clip(y / case.size_mm[1], 0, 1)
     solid = (x > 0) & (x < case.size_mm[0]) & (y > 0) & (y < case.size_mm[1]) & (z < case.size_mm[2])
-    assert_same_labels(layer.labels[::-1], np.where(solid, symmetric_labels(expected, ratio[None]), 0))
+    labels_of = cyclic_labels if case.profile == "cyclic" else symmetric_labels
+    expected = dithered(case, prepared, expected) if case.edges == "dithered" else expected
+    assert_same_labels(layer.labels[::-1], np.where(solid, labels_of(expected, cumulative(case, prepared)), 0))
+
+
+def dithered(case: Case, prepared: Prepared, g: NDArray[np.complex128]) -> NDArray[np.complex128]:
+    """G at random places within the pixels; only for constant directions, whose wave is one everywhere."""
+    normal = normals_of(case, prepared)(np.zeros((1, 3)))[0]
+    wave = normal * 2 * np.pi / case.period * (25.4 / case.dpi[0], 25.4 / case.dpi[1], case.layer_mm)
+    columns, rows = np.arange(g.shape[1])[None, :], np.arange(g.shape[0])[:, None]
+    return jittered(g, columns, rows, case.layer if case.dimensions == 3 else 0, wave, case.seed)
 
 
 def test_cases_cover_what_can_differ() -> None:
     for dimensions in (2, 3):
         some = [case for case in CASES if case.dimensions == dimensions]
         assert {c.orientation for c in some} == {"constant", "graded", "painted"}
-        assert {c.period for c in some} == {0.5, 1, 3}
+        assert {c.period for c in some} >= {0.5, 1, 3}
+        assert {bool(any(c.isotropy)) for c in some} == {c.period_end is not None for c in some} == {True, False}
+        assert {c.profile for c in some} == {"pwm", "symmetric", "cyclic"}
+        assert {c.edges for c in some} == {"sharp", "dithered"}
         assert {c.bandwidth for c in some} == {0.25, 0.5, 1}
         assert {c.dpi[0] == c.dpi[1] for c in some} == {True, False}
 
@@ -272,7 +338,7 @@ def test_the_comparison_can_fail(folder: Path) -> None:
     broken = expected.copy()
     broken[0, 0] = np.nan
     for wrong in (
-        twin(case, prepared, seed=case.seed + 1), twin(case, prepared, period=1.001 * case.period),
+        twin(case, prepared, seed=case.seed + 1), twin(case, prepared, period=1.001 * case.period, periods=None),
         twin(case, prepared, error=1e-2), shifted, expected.conj(), broken,
     ):  # fmt: skip
         with pytest.raises(AssertionError):

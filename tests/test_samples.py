@@ -184,7 +184,7 @@ def test_the_plates_job() -> None:
         ],
         "pattern": {
             "noise": "phasor", "dimensions": 2, "period": 1.0, "bandwidth": 0.5, "alignment": 0,
-            "evaluate": "lattice", "profile": "pwm", "seed": 1,
+            "evaluate": "lattice", "profile": "pwm", "edges": "sharp", "seed": 1,
         },
         "fields": {
             "ratio": {"image": "ratio.png", "range": [0.15, 0.8], "plane": "xy"},

@@ -2,13 +2,14 @@
 
 A laminate's normal is a line, not an arrow: n and -n are the same laminate. Samples of a picture are
 therefore combined as lines: angles in the plane through the doubled angle, normals in space through n nᵀ.
-Constants and gradients are plain numbers until they become a direction.
+Constants, gradients and expressions are plain numbers until they become a direction.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
@@ -20,8 +21,19 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
 
 
+class Orientation(Protocol):
+    """A field of directions."""
+
+    @property
+    def samplers(self) -> tuple[Sampler, ...]:
+        """The scalar fields that it is made of."""
+
+    def normals(self, x: Floats, y: Floats, z: Floats) -> Floats:
+        """(N, 3) unit normals in the part's file axes at (N,) field-frame points."""
+
+
 @dataclass(frozen=True)
-class Orientation:
+class Angles:
     """Azimuth from +x towards +y and elevation above the xy plane, both fields in degrees.
 
     Attributes:
@@ -31,17 +43,67 @@ class Orientation:
     azimuth: Sampler
     elevation: Sampler | None = None
 
+    @property
+    def samplers(self) -> tuple[Sampler, ...]:
+        """One or two angles."""
+        return (self.azimuth,) if self.elevation is None else (self.azimuth, self.elevation)
+
     def normals(self, x: Floats, y: Floats, z: Floats) -> Floats:
         """(N, 3) unit normals in the part's file axes at (N,) field-frame points."""
-        azimuths, weights = self.azimuth.taps(x, y, z)
         if self.elevation is None:
-            return _flat(_line_angle(azimuths, weights))
-        elevations, elevation_weights = self.elevation.taps(x, y, z)
-        if len(azimuths) > 1 and self.azimuth.texels == self.elevation.texels:
-            return _line_mean(_unit(azimuths, elevations), weights)
-        samples = _unit(azimuths[:, None], elevations[None, :])
-        both = weights[:, None] * elevation_weights[None, :]
-        return _line_mean(samples.reshape(-1, *samples.shape[2:]), both.reshape(-1, both.shape[-1]))
+            return _flat(_line_angle(*self.azimuth.taps(x, y, z)))
+        (azimuths, elevations), weights = joint_taps((self.azimuth, self.elevation), x, y, z)
+        return _line_mean(_unit(azimuths, elevations), weights)
+
+
+@dataclass(frozen=True)
+class Vector:
+    """Three components along the file's axes, of any length; where all are 0, the direction is +x."""
+
+    components: tuple[Sampler, Sampler, Sampler]
+
+    @property
+    def samplers(self) -> tuple[Sampler, ...]:
+        """The three components."""
+        return self.components
+
+    def normals(self, x: Floats, y: Floats, z: Floats) -> Floats:
+        """(N, 3) unit normals in the part's file axes at (N,) field-frame points."""
+        values, weights = joint_taps(self.components, x, y, z)
+        vectors = np.stack(values, axis=-1)
+        # The largest component first: the length of (1e-200, 0, 0) is not 0, that of (1e200, 0, 0) not infinite.
+        largest = np.abs(vectors).max(axis=-1, keepdims=True)
+        zero = largest == 0
+        vectors = np.where(zero, (1.0, 0.0, 0.0), vectors / np.where(zero, 1.0, largest))
+        return _line_mean(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True), weights)
+
+
+def joint_taps(samplers: Sequence[Sampler], x: Floats, y: Floats, z: Floats) -> tuple[list[Floats], Floats]:
+    """Samples of several fields, combined: K tuples of values behind each point, and their weights.
+
+    Fields with the same texels are combined texel by texel, others each sample of one with each of the other.
+
+    Returns:
+        Per field (K, N) values; (K, N) weights.
+    """
+    values: list[Floats] = []
+    weights: Floats = np.ones((1, len(x)))
+    grids: list[tuple[object, int, int]] = []  # texels, and which axis of the samples they are: stride and count
+    for sampler in samplers:
+        own, own_weights = sampler.taps(x, y, z)
+        known = next((grid for grid in grids if grid[0] is not None and grid[0] == sampler.texels), None)
+        total = len(weights)
+        if known:
+            stride, count = known[1:]
+            values.append(own[np.arange(total) // stride % count])
+            continue
+        count = len(own)
+        values = [np.repeat(v, count, axis=0) for v in values]
+        grids = [(texels, stride * count, n) for texels, stride, n in grids]
+        grids.append((sampler.texels, 1, count))
+        weights = np.repeat(weights, count, axis=0) * np.tile(own_weights, (total, 1))
+        values.append(np.tile(own, (total, 1)))
+    return values, weights
 
 
 def _line_angle(angles_deg: Floats, weights: Floats) -> Floats:

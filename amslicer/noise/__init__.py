@@ -10,7 +10,7 @@ from collections.abc import Callable
 from amslicer.noise.kernels import Kernels, Noise
 from amslicer.noise.phasor import Phasor
 
-# Name -> maker(period_mm=, bandwidth=, dimensions=, seed=, impulses=default of the noise).
+# Name -> maker(periods_mm=, bandwidth=, dimensions=, seed=, impulses=default of the noise).
 NOISES: dict[str, Callable[..., Noise]] = {
     "phasor": Phasor,
 }

@@ -10,18 +10,69 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from numpy.typing import NDArray
 
     Floats = NDArray[np.float64]
-    # (first cell (x, y, z), cells along (x, y, z), impulses per cell, seed)
-    #   -> (cells z, cells y, cells x, per cell, 4) uint32
-    DrawWords = Callable[[tuple[int, int, int], tuple[int, int, int], int, int], NDArray[np.uint32]]
-    # (N, 3) places in the pattern frame, mm -> (N, 3) unit normals in printer axes
-    Normals = Callable[[Floats], Floats]
 
 WORD = 2.0**-32  # random words to [0, 1)
+# The fourth word of a counter says what its random words are for: no two uses can share a stream.
+IMPULSES = 0  # + number in the cell: place and phase of an impulse
+CHOICE = 1 << 30  # + number in the cell: whether a candidate is an impulse
+TURN_PLACES, TURN_WEIGHTS = 2 << 30, 3 << 30  # + 256 × level (8 bits) + number in the cell: amslicer/noise/turn.py
+
+
+class Generator(Protocol):
+    """Random words and sums over random points, on a device or in plain NumPy."""
+
+    def words(
+        self, first: tuple[int, int, int], count: tuple[int, int, int], per_cell: int, seed: int, number: int
+    ) -> NDArray[np.uint32]:
+        """The random words of a box of cells: counters (cell x, y, z, number + 0 … per_cell - 1).
+
+        Args:
+            first: the box's first cell (x, y, z).
+            count: cells along x, y, z.
+
+        Returns:
+            (cells z, cells y, cells x, per_cell, 4) uint32.
+        """
+
+    def normal_fields(
+        self, places: Floats, cells: NDArray[np.int64], points: NDArray[np.float32], weights: NDArray[np.float32]
+    ) -> NDArray[np.float32]:
+        """Random fields that are N(0, 1) at each place: Σ γ_m g_m / √Σ g_m², g_m = exp(-π d²), over the points
+        within two cells.
+
+        Args:
+            places: (N, 3) within their cells, in cells: 0…1.
+            cells: (N, 3) their cells, counted from the box's first; two cells of the box lie beyond each.
+            points: (cells z, cells y, cells x, per cell, 3) points within their cells, in cells.
+            weights: (cells z, cells y, cells x, per cell, 4) γ, N(0, 1), of up to four independent fields.
+
+        Returns:
+            (N, 4).
+        """
+
+
+class Paint(Protocol):
+    """What noise reads of the painted fields, at (N, 3) places in the pattern frame, mm."""
+
+    def normals(self, points_mm: Floats) -> Floats:
+        """(N, 3) unit normals in printer axes."""
+
+    def isotropies(self, points_mm: Floats) -> Floats:
+        """(N,) 0 laminate … 1 isotropic."""
+
+    def periods(self, points_mm: Floats) -> Floats:
+        """(N,) mm."""
+
+    @property
+    def period_bounds_mm(self) -> tuple[float, float]:
+        """No period is shorter than the first or longer than the second."""
+
+    @property
+    def is_laminate(self) -> bool:
+        """Whether isotropy is 0 everywhere."""
 
 
 @dataclass(frozen=True)
@@ -61,23 +112,23 @@ class Noise(Protocol):
 
     @property
     def radius_mm(self) -> float:
-        """The largest radius of a kernel."""
+        """No kernel reaches further along an axis."""
 
     @property
     def density(self) -> float:
-        """Kernels per mm^dimensions."""
+        """The most kernels per mm^dimensions, where the period is shortest."""
 
     def cell_layers(self, low_z_mm: float, high_z_mm: float) -> range:
         """The layers of cells whose kernels can reach these heights; range(1) in 2D."""
 
-    def kernels(self, draw: DrawWords, cell_layer: int, low_mm: Floats, high_mm: Floats, normals: Normals) -> Kernels:
+    def kernels(self, draw: Generator, cell_layer: int, low_mm: Floats, high_mm: Floats, paint: Paint) -> Kernels:
         """The kernels of one layer of cells that reach a rectangle, in cell order.
 
         Args:
-            draw: draws the random words of a box of cells.
+            draw: draws random numbers.
             cell_layer: index of the layer of cells.
             low_mm, high_mm: (2,) corners of the rectangle, pattern frame.
-            normals: the painted normals at kernel centres.
+            paint: the painted fields.
         """
 
 
@@ -107,18 +158,29 @@ class Cells:
         return range(math.floor(low_z_mm / self.side_mm), math.floor(high_z_mm / self.side_mm) + 1)
 
     def impulses(
-        self, draw: DrawWords, seed: int, cell_layer: int, low_mm: Floats, high_mm: Floats
-    ) -> tuple[Floats, Floats]:
-        """Places (N, 3) in mm and phases (N,) in rad of one layer of cells within a rectangle, in cell order."""
+        self, draw: Generator, seed: int, cell_layer: int, low_mm: Floats, high_mm: Floats, *, thinned: bool
+    ) -> tuple[Floats, Floats, Floats]:
+        """The candidates of one layer of cells within a rectangle, in cell order.
+
+        Args:
+            thinned: whether some will be left out.
+
+        Returns:
+            Places (N, 3) in mm; phases (N,) in rad; choices (N,), uniform in [0, 1), or 0 where none is left out: those
+            below a share are taken.
+        """
         first = np.floor(low_mm / self.side_mm).astype(int)
         count = np.floor(high_mm / self.side_mm).astype(int) + 1 - first
-        corner = (int(first[0]), int(first[1]), cell_layer)
-        words = draw(corner, (int(count[0]), int(count[1]), 1), self.per_cell, seed)
+        box = (int(first[0]), int(first[1]), cell_layer), (int(count[0]), int(count[1]), 1), self.per_cell, seed
+        words = draw.words(*box, IMPULSES)
         z, y, x = np.meshgrid([cell_layer], *(first[a] + np.arange(count[a]) for a in (1, 0)), indexing="ij")
         cell = np.stack([x, y, z], axis=-1)[:, :, :, None, :]
         place = ((cell + words[..., :3] * WORD) * self.side_mm).reshape(-1, 3)
         phase = words[..., 3].astype(np.float64).reshape(-1) * (WORD * 2 * np.pi)
+        choice = np.zeros(len(phase))
+        if thinned:
+            choice += draw.words(*box, CHOICE)[..., 0].reshape(-1) * WORD
         if self.dimensions == 2:
             place[:, 2] = 0.0
         inside = np.all((place[:, :2] > low_mm) & (place[:, :2] < high_mm), axis=1)
-        return place[inside], phase[inside]
+        return place[inside], phase[inside], choice[inside]

@@ -1,0 +1,60 @@
+"""Random words and sums over random points, on an open device."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from amslicer.device import Device
+
+    Floats = NDArray[np.float64]
+
+
+class DeviceGenerator:
+    """amslicer.noise.kernels.Generator with OpenCL."""
+
+    def __init__(self, device: Device) -> None:
+        self.device = device
+
+    def words(
+        self, first: tuple[int, int, int], count: tuple[int, int, int], per_cell: int, seed: int, number: int
+    ) -> NDArray[np.uint32]:
+        """(cells z, cells y, cells x, per_cell, 4) random words of a box of cells."""
+        words = np.empty((count[2], count[1], count[0], per_cell, 4), np.uint32)
+        buffer = self.device.empty(words.nbytes)
+        self.device.run(
+            self.device.kernel("impulses"), words.size // 4, buffer, np.array([*first, 0], np.int32),
+            np.array([*count, per_cell], np.uint32), np.array([seed & 0xFFFFFFFF, seed >> 32], np.uint32),
+            np.uint32(number),
+        )  # fmt: skip
+        self.device.read(buffer, words)
+        return words
+
+    def normal_fields(
+        self, places: Floats, cells: NDArray[np.int64], points: NDArray[np.float32], weights: NDArray[np.float32]
+    ) -> NDArray[np.float32]:
+        """(N, 4) fields that are N(0, 1) at each place."""
+        count = len(places)
+        fields = np.empty((count, 4), np.float32)
+        buffer = self.device.empty(fields.nbytes)
+        padded = np.zeros((*points.shape[:-1], 4), np.float32)
+        padded[..., :3] = points
+        z, y, x, per_cell = points.shape[:4]
+        self.device.run(
+            self.device.kernel("normal_fields"), count, buffer, self.device.buffer(_four(places, np.float32)),
+            self.device.buffer(_four(cells, np.int32)), self.device.buffer(padded), self.device.buffer(weights),
+            np.array([x, y, z, per_cell], np.uint32), np.uint32(count), np.uint32(z == 1),
+        )  # fmt: skip
+        self.device.read(buffer, fields)
+        return fields
+
+
+def _four(values: NDArray[np.generic], kind: type[np.generic]) -> NDArray[np.generic]:
+    """(N, 3) values as OpenCL's vectors of four."""
+    out = np.zeros((len(values), 4), kind)
+    out[:, :3] = values
+    return out

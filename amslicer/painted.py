@@ -1,0 +1,250 @@
+"""What is painted on a placed part: shares of the materials, direction, isotropy and period, sampled anywhere."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from amslicer.errors import JobError
+from amslicer.fields import Frame, Sampler, open_field
+from amslicer.fields.orientation import Angles, Orientation, Vector
+from amslicer.specification import REST, AzimuthElevation, VectorComponents
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from amslicer.grid import Grid
+    from amslicer.job import Job
+    from amslicer.placement import Placement
+
+    Floats = NDArray[np.float64]
+
+RATIO_ROWS = 64  # rows of the ratio evaluated at a time; fixed, so that every run does the same arithmetic
+ROUNDING = 1e-9  # how far interpolation may leave 0…1
+SUM_ROUNDING = 1e-6  # how far ratios that are all given may be from summing to 1
+
+
+@dataclass(frozen=True)
+class Painted:
+    """A job's fields, opened over its placed part. Points are pattern-frame mm, directions printer axes.
+
+    Attributes:
+        materials: names, in the order of the profile.
+        ratios: share of each material; None for the one that takes the rest.
+        orientation: the laminate's normal.
+        isotropy: 0 laminate … 1 isotropic.
+        period: mm.
+        mid_height_mm: where a 2D pattern's kernels sample the fields.
+    """
+
+    materials: tuple[str, ...]
+    ratios: tuple[Sampler | None, ...]
+    orientation: Orientation
+    isotropy: Sampler
+    period: Sampler
+    placement: Placement
+    mid_height_mm: float
+    dimensions: int
+
+    def normals(self, points_mm: Floats) -> Floats:
+        """(N, 3) unit normals at (N, 3) points; flat in 2D, at mid-height."""
+        normals = self.placement.turn(self.orientation.normals(*self._coordinates(points_mm)))
+        if self.dimensions == 2:
+            normals = normals * (1.0, 1.0, 0.0)
+            length = np.linalg.norm(normals, axis=1, keepdims=True)
+            upright = length < 1e-6  # a normal that points straight up has no direction in the plane
+            normals = np.where(upright, (1.0, 0.0, 0.0), normals / np.where(upright, 1.0, length))
+        return normals
+
+    def isotropies(self, points_mm: Floats) -> Floats:
+        """(N,) painted isotropy, 0…1, at (N, 3) points.
+
+        Raises:
+            JobError: it leaves 0…1; the message says where and how much.
+        """
+        coordinates = self._coordinates(points_mm)
+        values = np.broadcast_to(self.isotropy.scalar(*coordinates), (len(points_mm),))
+        wrong = ~((values >= -ROUNDING) & (values <= 1 + ROUNDING))
+        if wrong.any():
+            i = int(np.argmax(wrong))
+            raise _out_of_range("fields.isotropy", values[i], self._where(*(c[i] for c in coordinates)), "an isotropy")
+        return np.clip(values, 0.0, 1.0)
+
+    def periods(self, points_mm: Floats) -> Floats:
+        """(N,) painted period, mm, at (N, 3) points."""
+        return np.broadcast_to(self.period.scalar(*self._coordinates(points_mm)), (len(points_mm),))
+
+    @property
+    def period_bounds_mm(self) -> tuple[float, float]:
+        """No painted period is shorter than the first or longer than the second."""
+        return self.period.bounds
+
+    @property
+    def is_laminate(self) -> bool:
+        """Whether isotropy is 0 everywhere."""
+        return self.isotropy.bounds == (0.0, 0.0)
+
+    @property
+    def ratio_depends_on_z(self) -> bool:
+        """Whether any material's share changes from layer to layer."""
+        return any(self.placement.depends_on_z(ratio.varies) for ratio in self.ratios if ratio is not None)
+
+    def share_bounds(self) -> list[tuple[float, float]]:
+        """Per material, bounds of its painted share; those of the rest follow from the others."""
+        given = [ratio.bounds for ratio in self.ratios if ratio is not None]
+        rest = 1 - sum(high for _, high in given), 1 - sum(low for low, _ in given)
+        return [rest if ratio is None else ratio.bounds for ratio in self.ratios]
+
+    def check_ratio(self, grid: Grid) -> None:
+        """Looks for painted ratios that are none in a few layers, before anything is written.
+
+        Raises:
+            JobError: as ratio_map does.
+        """
+        surely = all(low >= -ROUNDING and high <= 1 + ROUNDING for low, high in self.share_bounds())
+        if not surely or None not in self.ratios:
+            for layer in {0, grid.layers // 2, grid.layers - 1} if self.ratio_depends_on_z else {0}:
+                self.ratio_map(grid, layer)
+
+    def ratio_map(self, grid: Grid, layer: int) -> NDArray[np.float32]:
+        """Cumulative painted ratios at the pixel centres of a layer: the share of the materials up to m.
+
+        Returns:
+            (materials - 1, rows, columns), row 0 = lowest y; not decreasing along the first axis.
+
+        Raises:
+            JobError: a ratio leaves 0…1, or they do not sum to 1; the message says where and how much.
+        """
+        x, z = grid.x_mm()[None, :], np.asarray(grid.z_mm(layer))
+        out = np.empty((len(self.ratios) - 1, grid.rows, grid.columns), np.float32)
+        for first in range(0, grid.rows, RATIO_ROWS):
+            y = grid.y_mm()[first : first + RATIO_ROWS, None]
+            shape = (len(y), grid.columns)
+            coordinates = self.placement.to_field(x, y, z)
+            values = [None if r is None else np.broadcast_to(r.scalar(*coordinates), shape) for r in self.ratios]
+            self._check_shares(values, coordinates, shape)
+            cumulative = np.stack(list(_cumulative(values)))
+            out[:, first : first + RATIO_ROWS] = np.maximum.accumulate(np.clip(cumulative, 0.0, 1.0), axis=0)
+        return out
+
+    def _check_shares(
+        self, values: list[Floats | None], coordinates: tuple[Floats, Floats, Floats], shape: tuple[int, int]
+    ) -> None:
+        rest = _rest(values)
+        total: Floats = np.zeros(shape)
+        for name, share in zip(self.materials, values, strict=True):
+            if share is not None:
+                key = "fields.ratio" if len(self.materials) == 2 and rest is not None else f"fields.ratio.{name}"
+                wrong = ~((share >= -ROUNDING) & (share <= 1 + ROUNDING))
+                if wrong.any():
+                    raise _out_of_range(key, *self._first(wrong, share, coordinates), "a ratio")
+                total = total + share
+        if rest is not None:
+            wrong = ~(total <= 1 + len(values) * ROUNDING)
+            if wrong.any():
+                excess, where = self._first(wrong, total, coordinates)
+                raise JobError(
+                    f"fields.ratio: the ratios sum to {excess:.6g} at {where}, which leaves {1 - excess:.3g} for "
+                    f"'{self.materials[rest]}', the rest",
+                    hint="change the fields so that the others never sum to more than 1",
+                )
+            return
+        wrong = ~(np.abs(total - 1) <= SUM_ROUNDING)
+        if wrong.any():
+            amount, where = self._first(wrong, total, coordinates)
+            raise JobError(
+                f"fields.ratio: the ratios sum to {amount:.6g} instead of 1 at {where} (off by {amount - 1:+.3g})",
+                hint=f"give one material the rest, for example {self.materials[-1]}: {REST}",
+            )
+
+    def _first(
+        self, wrong: NDArray[np.bool_], values: Floats, coordinates: tuple[Floats, Floats, Floats]
+    ) -> tuple[float, str]:
+        """The first wrong value, and where it stands."""
+        row, column = np.argwhere(wrong)[0]
+        x, y, z = (np.broadcast_to(c, wrong.shape)[row, column] for c in coordinates)
+        return float(values[row, column]), self._where(x, y, z)
+
+    def _where(self, *place: float) -> str:
+        corner = self.placement.file_minimum_mm
+        at = ", ".join(f"{axis} = {float(v + low):.2f}" for axis, v, low in zip("xyz", place, corner, strict=True))
+        return f"{at} mm (file coordinates)"
+
+    def _coordinates(self, points_mm: Floats) -> tuple[Floats, Floats, Floats]:
+        """(N,) field-frame coordinates of (N, 3) points; all at mid-height in 2D."""
+        z = np.full(len(points_mm), self.mid_height_mm) if self.dimensions == 2 else points_mm[:, 2]
+        x, y, z = np.broadcast_arrays(*self.placement.to_field(points_mm[:, 0], points_mm[:, 1], z))
+        return x, y, z
+
+
+def _out_of_range(key: str, value: float, where: str, what: str) -> JobError:
+    return JobError(
+        f"{key} is {value:.4g} at {where}; {what} is between 0 and 1",
+        hint="change the field's range (or from and to) so that it stays within 0 and 1, or clip() an expression",
+    )
+
+
+def _cumulative(values: list[Floats | None]) -> Iterator[Floats]:
+    """Shares of the first, the first two, … materials, but for all of them: from the front, and beyond the
+    material that takes the rest from the back."""
+    found = _rest(values)
+    rest = len(values) - 1 if found is None else found
+    front: list[Floats] = []
+    for value in values[:rest]:
+        assert value is not None
+        front.append(front[-1] + value if front else value)
+    back: list[Floats] = []
+    for value in values[:rest:-1]:
+        assert value is not None
+        back.append(back[-1] - value if back else 1.0 - value)
+    yield from front
+    yield from reversed(back)
+
+
+def _rest(values: list[Floats | None]) -> int | None:
+    """The material that takes the rest."""
+    return next((m for m, value in enumerate(values) if value is None), None)
+
+
+def open_fields(job: Job, placement: Placement, file_size_mm: Floats) -> Painted:
+    """Opens a job's fields over its part.
+
+    Args:
+        file_size_mm: (3,) bounding box size in the file's axes.
+
+    Raises:
+        JobError: a field file cannot be used.
+    """
+    frame = Frame(placement.file_minimum_mm, file_size_mm)
+    fields, pattern = job.spec.fields, job.spec.pattern
+    if isinstance(fields.ratio, dict):
+        named = fields.ratio
+        ratios = tuple(
+            None if named[name] == REST else open_field(named[name], frame, job.inputs)  # type: ignore[arg-type]
+            for name in job.materials
+        )
+    else:
+        ratios = (open_field(fields.ratio, frame, job.inputs), None)
+    return Painted(
+        materials=job.materials,
+        ratios=ratios,
+        orientation=_open_orientation(job, frame),
+        isotropy=open_field(fields.isotropy, frame, job.inputs),
+        period=open_field(pattern.period, frame, job.inputs),
+        placement=placement,
+        mid_height_mm=float(placement.size_mm[2]) / 2,
+        dimensions=pattern.dimensions,
+    )
+
+
+def _open_orientation(job: Job, frame: Frame) -> Orientation:
+    spec = job.spec.fields.orientation
+    if isinstance(spec, AzimuthElevation):
+        return Angles(open_field(spec.azimuth, frame, job.inputs), open_field(spec.elevation, frame, job.inputs))
+    if isinstance(spec, VectorComponents):
+        x, y, z = (open_field(component, frame, job.inputs) for component in spec.vector)
+        return Vector((x, y, z))
+    return Angles(open_field(spec, frame, job.inputs))
