@@ -16,7 +16,8 @@ from pydantic import Field, field_validator
 
 from amslicer.errors import JobError
 from amslicer.fields.constant import ConstantSampler
-from amslicer.fields.formula import Node, Number, bound, evaluate, read_formula, shortened, variables
+from amslicer.fields.formula import Node, Number, bound, evaluate, variables
+from amslicer.fields.formula_reader import read_formula, shortened
 from amslicer.fields.source import Frame, Inputs, Sampler, Source, one_tap
 
 if TYPE_CHECKING:
