@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from decimal import Decimal
 from pathlib import Path
 from typing import Any
 
@@ -296,6 +297,25 @@ def test_bounds_hold_everything(formula: str) -> None:
 def test_bounds_are_tight(text: str, low: float, high: float) -> None:
     found = opened(text).bounds
     assert found == pytest.approx((low, high), rel=1e-14, abs=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("text", "low", "high"),
+    [
+        ("exp(u)", Decimal(1), Decimal(1).exp()),
+        ("exp(-2 - u)", Decimal(-3).exp(), Decimal(-2).exp()),
+        ("log(2 + u)", Decimal(2).ln(), Decimal(3).ln()),
+        ("log(0.5 + u/4)", -Decimal(2).ln(), Decimal("0.75").ln()),
+        ("hypot(u + 1, 1)", Decimal(2).sqrt(), Decimal(5).sqrt()),
+        ("(u + 1.5)**23", Decimal("1.5") ** 23, Decimal("2.5") ** 23),
+        ("(u + 2)**0.25", Decimal(2).sqrt().sqrt(), Decimal(3).sqrt().sqrt()),
+    ],
+)
+def test_bounds_hold_the_exact_values(text: str, low: Decimal, high: Decimal) -> None:
+    """28 digits of them, where float64 has 16: rounding to nearest alone would leave some out."""
+    found = opened(text).bounds
+    assert Decimal(found[0]) <= low
+    assert Decimal(found[1]) >= high
 
 
 # What has no value

@@ -125,8 +125,8 @@ class Source(BaseModel):
 
 
 def blend(t: Floats, a: float, b: float) -> Floats:
-    """a + t(b - a), exactly b where t is 1: how `range`, `from` and `to` map 0…1 to values between them."""
-    return np.clip(np.where(t == 1, b, a + t * (b - a)), min(a, b), max(a, b))
+    """a + t(b - a), exactly b where t is 1: how `range`, `from` and `to` map 0…1 to values. Never beyond either."""
+    return np.where(t == 1, b, a + t * (b - a))
 
 
 def one_tap(values: Floats, like: Floats) -> tuple[Floats, Floats]:
