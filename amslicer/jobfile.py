@@ -20,8 +20,6 @@ DEFAULT_PRINTER = "generic-600dpi"
 OVERRIDES = "overrides"  # what messages call values that did not come from the job file
 # Keys and values of the job file's language that this version does not know at all.
 UNBUILT_KEYS = (
-    "center",
-    "radius",
     "exemplar",
     "exemplar_pixel_mm",
     "isotropy_model",
@@ -29,7 +27,7 @@ UNBUILT_KEYS = (
     "skin",
     "bodies",
 )
-UNBUILT_VALUES = ("grabcad", "gcvf", "sl1", "tiff", "zarr", "vti", "nrrd", "3mf", "svx", "xz", "yz")
+UNBUILT_VALUES = ("grabcad", "gcvf", "sl1", "tiff", "zarr", "vti", "nrrd", "3mf", "svx")
 
 
 @dataclass

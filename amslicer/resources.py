@@ -1,4 +1,4 @@
-"""Finds the folders that travel with the package: the OpenCL sources (cl/) and the printer profiles (configs/)."""
+"""Finds the folders that travel with the package: OpenCL sources (cl/), printer profiles and examples (configs/)."""
 
 from __future__ import annotations
 

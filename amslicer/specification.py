@@ -237,14 +237,15 @@ class JobFile(Model):
 def key_paths() -> dict[str, str]:
     """Every key's name, and where it belongs ("ratio": "fields.ratio"), for did-you-mean messages."""
     from amslicer.fields import SOURCES
-    from amslicer.fields.gradient import GradientParameters
+    from amslicer.fields.gradient import LinearGradient, RadialGradient
 
     found: dict[str, str] = {}
     sections: tuple[tuple[str, type[BaseModel]], ...] = (
         ("", JobFile), ("printer.", Printer), ("part.", PartSettings), ("materials.", Material),
         ("pattern.", Pattern), ("fields.", Fields), ("fields.orientation.", AzimuthElevation),
         ("fields.orientation.", VectorComponents),
-        ("output.", Output), ("gradient.", GradientParameters), *(("", source) for source in SOURCES.values()),
+        ("output.", Output), ("gradient.", LinearGradient), ("gradient.", RadialGradient),
+        *(("", source) for source in SOURCES.values()),
     )  # fmt: skip
     for prefix, model in sections:
         for key, info in model.model_fields.items():

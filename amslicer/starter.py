@@ -39,8 +39,11 @@ fields:
   # A field is a number, or one of ({sources}):
   #   {{gradient: {{axis: x, from: 0.1, to: 0.9}}}}      linear over the part's bounding box,
   #                                                    or between start: and end: in mm
+  #                                                    or around a point: center: [x, y, z], radius: 8
   #   {{image: paint/ratio.png, range: [0, 1]}}         8 or 16-bit grey, black = range[0], stretched over the
-  #                                                    part seen from above, or over box: [x0, y0, x1, y1]
+  #                                                    part seen from above, or over box: [x0, y0, x1, y1];
+  #                                                    plane: xz or yz for a picture of its side
+  #   {{expression: "0.5 + 0.4*sin(2*pi*x/20)"}}        x y z in mm, u v w from 0 to 1 over the bounding box
   ratio: {{gradient: {{axis: x, from: 0.2, to: 0.8}}}} # share of the first material, 0 to 1
   orientation: 30                  # the sheets' normal, from +x towards +y; or in 3D
                                    # {{azimuth: FIELD, elevation: FIELD}}

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from pydantic import Discriminator, Tag
 
 from amslicer.fields.constant import Constant, ConstantSampler
+from amslicer.fields.expression import ExpressionSource
 from amslicer.fields.gradient import GradientSource
 from amslicer.fields.image import ImageSource
 from amslicer.fields.source import Frame, Inputs, Sampler, Source
@@ -21,9 +22,10 @@ if TYPE_CHECKING:
 SOURCES: dict[str, type[Source]] = {
     "gradient": GradientSource,
     "image": ImageSource,
+    "expression": ExpressionSource,
 }
 # Sources of the job file's language that this version does not have yet.
-PLANNED = ("expression", "volume", "vertex", "distance", "points", "texture", "strokes", "mix")
+PLANNED = ("volume", "vertex", "distance", "points", "texture", "strokes", "mix")
 
 
 def source_name(value: Any) -> str | None:

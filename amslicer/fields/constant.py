@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from amslicer.fields.source import Number
+from amslicer.fields.source import Number, one_tap
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -36,4 +36,4 @@ class ConstantSampler:
 
     def taps(self, x: Floats, y: Floats, z: Floats) -> tuple[Floats, Floats]:
         """One sample of weight 1 per point."""
-        return np.full((1, len(x)), self.value), np.ones((1, len(x)))
+        return one_tap(self.scalar(x, y, z), x)

@@ -63,6 +63,10 @@ class Frame:
     minimum_mm: Floats
     size_mm: Floats
 
+    def nearest(self, axis: int, position: Floats) -> Floats:
+        """One coordinate (field frame) of the box's nearest points: beyond the box, fields stay as at its sides."""
+        return np.clip(position, 0.0, self.size_mm[axis])
+
 
 @dataclass
 class Inputs:
@@ -121,5 +125,11 @@ class Source(BaseModel):
 
 
 def blend(t: Floats, a: float, b: float) -> Floats:
-    """a + t(b - a), exactly b where t is 1: how `range`, `from` and `to` map 0…1 to values."""
+    """a + t(b - a), exactly b where t is 1: how `range`, `from` and `to` map 0…1 to values. Never beyond either."""
     return np.where(t == 1, b, a + t * (b - a))
+
+
+def one_tap(values: Floats, like: Floats) -> tuple[Floats, Floats]:
+    """Samples and weights of a field that is a plain number at each point: one sample of weight 1."""
+    samples = np.broadcast_to(values, like.shape)[None]
+    return samples, np.ones(samples.shape)

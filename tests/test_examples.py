@@ -1,0 +1,87 @@
+"""The example jobs of configs/examples: each loads, and its fields mean what its comments say."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import meshes
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from amslicer import Job, load_job
+from amslicer.fields import Frame, Sampler, open_field
+from amslicer.fields.source import Inputs
+from amslicer.pipeline import prepare
+
+Floats = NDArray[np.float64]
+
+EXAMPLES = Path(__file__).parents[1] / "configs" / "examples"
+# A part around the file's origin, as most are drawn.
+FRAME = Frame(np.array([-10.0, -10.0, 0.0]), np.array([20.0, 20.0, 5.0]))
+
+
+def example(name: str) -> Job:
+    return load_job(EXAMPLES / f"{name}.yaml", part="part.stl")
+
+
+def at(spec: Any, job: Job, *places: tuple[float, float, float]) -> list[float]:
+    """Values at places of the file."""
+    points = np.array(places, np.float64) - FRAME.minimum_mm
+    field = open_field(spec, FRAME, Inputs(job.inputs.folder))
+    return np.broadcast_to(field.scalar(*points.T), len(points)).tolist()
+
+
+def samplers(job: Job) -> Iterator[Sampler]:
+    for source in job.sources():
+        yield open_field(source, FRAME, job.inputs)
+
+
+def test_there_is_an_example_of_each() -> None:
+    assert {file.stem for file in EXAMPLES.glob("*.yaml")} >= {"expression", "radial", "planes"}
+
+
+@pytest.mark.parametrize("file", sorted(EXAMPLES.glob("*.yaml")), ids=lambda file: file.stem)
+def test_every_example_loads_and_opens(file: Path, tmp_path: Path) -> None:
+    part = tmp_path / "part.stl"
+    part.write_bytes(meshes.binary_stl(meshes.box((20.0, 20.0, 5.0), (-10.0, -10.0, 0.0))))
+    job = load_job(file, part=part)
+    assert list(job.sources())
+    points = np.random.default_rng(0).uniform(0, 1, (500, 3)) * FRAME.size_mm
+    for sampler in samplers(job):
+        found = np.broadcast_to(sampler.scalar(*points.T), 500)
+        assert np.isfinite(found).all()
+        assert sampler.bounds[0] <= found.min() < found.max() <= sampler.bounds[1]
+    prepared = prepare(job)
+    ratio = prepared.painted.ratio_map(prepared.grid, prepared.grid.layers // 2)
+    assert 0 <= ratio.min() < ratio.max() <= 1
+
+
+def test_expression() -> None:
+    job = example("expression")
+    fields: Any = job.spec.fields
+    assert at(fields.ratio, job, (-5, 3, 1), (0, 0, 0), (5, -2, 4)) == pytest.approx([0.1, 0.5, 0.9])
+    around = at(fields.orientation.azimuth, job, (5, 0, 0), (5, 5, 1), (0, 5, 2), (-5, 5, 3), (5, -5, 4))
+    assert around == pytest.approx([0, 45, 90, 135, -45])
+    assert at(fields.orientation.elevation, job, (1, 2, 0), (1, 2, 2.5), (1, 2, 5)) == pytest.approx([0, 20, 60])
+
+
+def test_radial() -> None:
+    job = example("radial")
+    fields: Any = job.spec.fields
+    assert at(fields.ratio, job, (0, 0, 0), (4, 0, 0), (0, 0, 4), (8, 0, 0), (9, 9, 5)) == pytest.approx(
+        [0.15, 0.5, 0.5, 0.85, 0.85]
+    )
+    assert at(fields.orientation, job, (0, 0, 5), (3, 4, 0), (3, 4, 5), (0, -10, 1)) == pytest.approx([0, 45, 45, 90])
+
+
+def test_planes() -> None:
+    """side.png is 0 … 255 from left to right in its top row, and black in its bottom row."""
+    job = example("planes")
+    fields: Any = job.spec.fields
+    left, right = (-9.999, 0, 4.999), (9.999, 0, 4.999)
+    assert at(fields.ratio, job, left, right, (9.999, 7, 0.001)) == pytest.approx([0.2, 0.8, 0.2])
+    angles = at(fields.orientation, job, (3, -9.999, 4.999), (3, 9.999, 4.999), (3, 9.999, 0.001), (3, 0, 5))
+    assert angles == pytest.approx([-45, 45, -45, 0])
