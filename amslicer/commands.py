@@ -181,8 +181,7 @@ def printers_command(options: Namespace, check: Callable[[], None]) -> int:
     from amslicer.specification import Printer
 
     printers = [Printer.model_validate(read_printer(name, Path())) for name in printer_names()]
-    rows = [{"name": p.name, "pitch_mm": p.pitch_mm, "layer_mm": p.layer_height_mm} for p in printers]
-    _show(options, rows, lambda: report.print_printers(printers))
+    _show(options, [report.printer_dict(p) for p in printers], lambda: report.print_printers(printers))
     return 0
 
 

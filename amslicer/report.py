@@ -150,24 +150,48 @@ def print_devices(devices: Sequence[DeviceInfo]) -> None:
 
 
 def print_printers(printers: Sequence[Printer]) -> None:
-    """The printer profiles."""
+    """The printer profiles; "-" where a profile does not say."""
     rows = [
         (
-            p.name or "", f"{1000 * p.pitch_mm[0]:.2f} × {1000 * p.pitch_mm[1]:.2f} µm",
-            f"{1000 * p.layer_height_mm:g} µm", p.description or "",
+            p.name or "", _sides(p.pitch_mm, 1000, ".2f"), f"{1000 * p.layer_height_mm:g}", _sides(p.bed_mm),
+            _sides(p.feature_mm, 1000), "-" if p.max_materials is None else f"{p.max_materials}",
         )
         for p in printers
     ]  # fmt: skip
-    _table(("printer", "pixel", "layer", ""), rows, left=(0, 3))
+    head = ("printer", "pixel µm", "layer µm", "bed mm", "smallest feature µm", "materials")
+    _table(head, rows, wrapped=range(1, len(head)))
 
 
-def _table(head: Sequence[str], rows: Sequence[Sequence[str]], left: Sequence[int] = (0,)) -> None:
+def _sides(lengths: Sequence[float] | None, factor: float = 1, digits: str = "g") -> str:
+    """Lengths as one reads them: "42.33 × 84.67", or one number where they are the same."""
+    same = lengths[:1] if lengths and len(set(lengths)) == 1 else lengths
+    return " × ".join(f"{factor * v:{digits}}" for v in same) if same else "-"
+
+
+def printer_dict(printer: Printer) -> dict[str, Any]:
+    """For --json: None where a profile does not say."""
+    return {
+        "name": printer.name,
+        "description": printer.description,
+        "pitch_mm": printer.pitch_mm,
+        "layer_mm": printer.layer_height_mm,
+        "bed_mm": printer.bed_mm,
+        "smallest_feature_mm": printer.feature_mm,
+        "max_materials": printer.max_materials,
+        "min_layers": printer.min_layers,
+        "format": printer.format,
+    }
+
+
+def _table(
+    head: Sequence[str], rows: Sequence[Sequence[str]], left: Sequence[int] = (0,), wrapped: Sequence[int] = ()
+) -> None:
     from rich import box
     from rich.table import Table
 
     table = Table(box=box.SIMPLE_HEAD)
     for i, name in enumerate(head):
-        table.add_column(name, justify="left" if i in left else "right", no_wrap=True)
+        table.add_column(name, justify="left" if i in left else "right", no_wrap=i not in wrapped)
     for row in rows:
         table.add_row(*row)
     # rich would end the process when the reader of a pipe has left.

@@ -46,7 +46,7 @@ class GradientParameters(BaseModel):
 class GradientSource(Source):
     """Linear between two places along an axis, constant beyond them."""
 
-    gradient: GradientParameters
+    gradient: GradientParameters = Field(description="linear between two places along an axis")
 
     def open(self, frame: Frame, inputs: Inputs) -> Sampler:
         """The gradient over a part."""
