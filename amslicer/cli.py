@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import difflib
+import inspect
 import logging
 import os
 import signal
@@ -28,17 +29,20 @@ from amslicer.errors import (
 USAGE = """\
   amslicer PART --fields FIELDS.yaml [-o OUT] [options]   slice (PART: stl obj ply off glb 3mf)
   amslicer verify OUT [--fields FIELDS.yaml]              check a written stack against its (or other) fields
-  amslicer preview OUT [--layer N] [-o FILE]              pictures of a stack
+  amslicer preview PART --fields FIELDS.yaml [-o FILE]    a picture before slicing: painted fields and laminate
+  amslicer preview OUT [--layer N] [-o FILE]              a picture of a stack
+  amslicer info OUT                                       what is in a stack
   amslicer devices                                        OpenCL devices, and whether each really works
   amslicer printers                                       the printer profiles
   amslicer init [FIELDS.yaml]                             write a commented starter file
+  amslicer schema                                         JSON Schema of the job file, for editors
   amslicer COMMAND --help                                 the options of a command (amslicer slice --help)
 """
 EPILOG = """\
 exit codes: 0 done, 1 unexpected, 2 usage, 3 job, fields or printer, 4 part, 5 OpenCL device,
 6 reading or writing files, 7 verification failed, 130 interrupted, 143 terminated"""
 # Commands of the language that this version does not have yet.
-PLANNED = ("info", "convert", "check", "batch", "gallery", "schema")
+PLANNED = ("convert", "check", "batch", "gallery")
 
 
 class Stopped(BaseException):
@@ -138,7 +142,7 @@ def _run(words: list[str], signals: Signals) -> int:
     add_options, command = COMMANDS[name]
     usage = "amslicer PART --fields FIELDS.yaml [-o OUT] [options]" if name == "slice" else None
     parser = _Parser(
-        prog=f"amslicer {name}", usage=usage, description=add_options.__doc__, epilog=EPILOG,
+        prog=f"amslicer {name}", usage=usage, description=inspect.cleandoc(add_options.__doc__ or ""), epilog=EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter, allow_abbrev=False,
     )  # fmt: skip
     add_options(parser)
@@ -239,6 +243,24 @@ def _init_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("file", nargs="?", default="fields.yaml", metavar="FIELDS.yaml", help="default: fields.yaml")
 
 
+def _schema_options(parser: argparse.ArgumentParser) -> None:
+    """Prints the JSON Schema of the job file (draft 2020-12), for editors:
+
+    amslicer schema > fields.schema.json
+
+    and, as the first line of the job file beside it (VS Code with its YAML extension, and others; `amslicer init`
+    writes this line):
+
+    # yaml-language-server: $schema=fields.schema.json
+    """
+
+
+def _info_options(parser: argparse.ArgumentParser) -> None:
+    """Says what is in a stack: part, grid, layers, materials, and the job behind it. Looks at no bitmap."""
+    parser.add_argument("out", metavar="OUT", help="folder of the stack")
+    _output_options(parser)
+
+
 def _output_options(parser: argparse.ArgumentParser | argparse._ArgumentGroup) -> None:
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
     parser.add_argument("--quiet", action="store_true", help="print nothing but errors (and --json)")
@@ -252,6 +274,8 @@ COMMANDS: dict[str, tuple[Callable[[argparse.ArgumentParser], None], str]] = {
     "devices": (_devices_options, "devices_command"),
     "printers": (_printers_options, "printers_command"),
     "init": (_init_options, "init_command"),
+    "schema": (_schema_options, "schema_command"),
+    "info": (_info_options, "info_command"),
 }
 
 

@@ -160,6 +160,16 @@ def preview_command(options: Namespace, check: Callable[[], None]) -> int:
     return 0
 
 
+def info_command(options: Namespace, check: Callable[[], None]) -> int:
+    """amslicer info OUT"""
+    from amslicer import report
+    from amslicer.stackinfo import describe_folder
+
+    found = describe_folder(options.out)
+    _show(options, report.info_dict(found), lambda: report.print_info(found))
+    return 0
+
+
 def devices_command(options: Namespace, check: Callable[[], None]) -> int:
     """amslicer devices"""
     from amslicer import report
@@ -187,6 +197,7 @@ def printers_command(options: Namespace, check: Callable[[], None]) -> int:
 
 def init_command(options: Namespace, check: Callable[[], None]) -> int:
     """amslicer init"""
+    from amslicer.schema import SCHEMA_FILE
     from amslicer.starter import starter_file
     from amslicer.storage import write_atomically
 
@@ -195,4 +206,16 @@ def init_command(options: Namespace, check: Callable[[], None]) -> int:
         raise UsageError(f"'{file}' exists already", hint="choose another name: amslicer init NAME.yaml")
     write_atomically(file, starter_file(file.name).encode())
     print(f"{file}: edit it, then `amslicer part.stl --fields {file} -o out`", file=sys.stderr)
+    print(f"for editors that check it: `amslicer schema > {file.with_name(SCHEMA_FILE)}`", file=sys.stderr)
+    return 0
+
+
+def schema_command(options: Namespace, check: Callable[[], None]) -> int:
+    """amslicer schema"""
+    from amslicer import report
+    from amslicer.schema import job_schema
+    from amslicer.storage import json_bytes
+
+    with report.a_reader_may_leave():
+        print(json_bytes(job_schema()).decode(), end="")
     return 0

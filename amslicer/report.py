@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from amslicer.pipeline import Estimate
     from amslicer.specification import Printer
     from amslicer.stack import Result
+    from amslicer.stackinfo import StackInfo
     from amslicer.verification import Report
 
 LINE_SECONDS = 10.0  # between two lines of progress where there is no terminal
@@ -140,6 +141,57 @@ def print_report(found: Report) -> None:
     _table(("material", "pixels", "ratio asked", "ratio got", "error", "allowed", ""), rows)
     verdict = "as it was asked for" if found.ok else "NOT as it was asked for"
     print(f"{found.out}: {found.layers} layers, {verdict}")
+
+
+def print_info(found: StackInfo) -> None:
+    """What a stack holds."""
+    pitch, printer, pattern = _sides(found.pitch_mm, 1000, ".2f"), found.printer, found.pattern
+    layers = f"{found.layer_count} of {1000 * found.layer_mm:g} µm"
+    if not found.complete:
+        there = ", ".join(f"{first}:{end}" for first, end in found.layer_ranges)
+        layers += f"; INCOMPLETE: {found.layers} are there ({there})"
+    rows = [
+        ("part", f"{found.part}, {' × '.join(f'{v:.5g}' for v in found.size_mm)} mm"),
+        ("bitmaps", f"{found.width_px} × {found.height_px} pixels of {pitch} µm"),
+        ("layers", layers),
+        ("printer", printer.get("name") or ("-" if found.problem else "said in the job file, without a name")),
+        ("pattern", _pattern_text(pattern) if pattern else "-"),
+        ("device", found.device),
+        ("amslicer", found.version),
+        ("digest", found.digest),
+        ("on disk", f"{found.bytes / 1e6:,.1f} MB in {found.out}"),
+    ]
+    for name, value in rows:
+        print(f"{name:9}{value}")
+    if found.problem:
+        print(f"{'job':9}cannot be read: {found.problem}")
+    materials = [
+        (
+            m.name, m.color, f"{m.volume_mm3:,.2f}", "-" if m.grams is None else f"{m.grams:.3f}",
+            f"{100 * m.asked:.2f} %", f"{100 * m.ratio:.2f} %",
+        )
+        for m in found.materials
+    ]  # fmt: skip
+    _table(("material", "colour", "mm³", "grams", "ratio asked", "ratio got"), materials, left=(0, 1))
+
+
+def _pattern_text(pattern: dict[str, Any]) -> str:
+    period = pattern["period"]
+    shown = f"{period:g} mm" if isinstance(period, float) else "painted"
+    return (
+        f"{pattern['noise']} in {pattern['dimensions']}D, period {shown}, bandwidth {pattern['bandwidth']:g}, "
+        f"profile {pattern['profile']}, seed {pattern['seed']}"
+    )
+
+
+def info_dict(found: StackInfo) -> dict[str, Any]:
+    """For --json."""
+    return {
+        **vars(found),
+        "out": str(found.out),
+        "layers": found.layers,
+        "materials": [vars(m) for m in found.materials],
+    }
 
 
 def print_devices(devices: Sequence[DeviceInfo]) -> None:
