@@ -135,12 +135,10 @@ def _job_of(folder: Path) -> tuple[dict[str, Any], str | None]:
 
 def ranges(numbers: Sequence[int]) -> Iterator[tuple[int, int]]:
     """Half-open ranges that ascending whole numbers fill."""
-    first = None
-    for number, following in zip(numbers, [*numbers[1:], None], strict=True):
-        first = number if first is None else first
-        if following != number + 1:
-            yield first, number + 1
-            first = None
+    there = set(numbers)
+    firsts = (n for n in numbers if n - 1 not in there)
+    ends = (n + 1 for n in numbers if n + 1 not in there)
+    return zip(firsts, ends, strict=True)
 
 
 def _bytes_in(folder: Path) -> int:
