@@ -188,11 +188,22 @@ def _slice_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("part", metavar="PART", help="the mesh: stl, obj, ply, off, glb or 3mf")
     parser.add_argument("--fields", metavar="FIELDS.yaml", help="the job file (`amslicer init` writes one)")
     parser.add_argument("-o", "--out", metavar="OUT", help="folder of the stack; default: PART's name without suffix")
-    job = parser.add_argument_group("what is printed (each overrides a key of the job file)")
-    job.add_argument("--printer", metavar="NAME|FILE", help="printer profile (`amslicer printers`)")
+    job = _job_options(parser)
     job.add_argument("--format", metavar="F", help="output format: png")
     job.add_argument("--compression", choices=("fast", "small"), help="of the files; default: fast")
     job.add_argument("--evaluate", choices=("lattice", "exact"), help="how G is computed; this version: always exact")
+    run = parser.add_argument_group("how it is computed (changes no byte, but for the device)")
+    run.add_argument("--layers", type=_layer_range, metavar="A:B", help="only these layers; half-open, like Python's")
+    _device_options(run)
+    run.add_argument("--overwrite", action="store_true", help="replace a stack in OUT; deletes nothing else")
+    run.add_argument("--resume", action="store_true", help="not built yet in this version")
+    run.add_argument("--dry-run", action="store_true", help="say grid, layers, size and time; write nothing")
+    _output_options(run)
+
+
+def _job_options(parser: argparse.ArgumentParser) -> argparse._ArgumentGroup:
+    job = parser.add_argument_group("what is printed (each overrides a key of the job file)")
+    job.add_argument("--printer", metavar="NAME|FILE", help="printer profile (`amslicer printers`)")
     job.add_argument("--seed", type=int, metavar="N", help="of the noise")
     job.add_argument("--scale", type=float, metavar="F", help="factor on the part's lengths")
     job.add_argument("--units", choices=("mm", "cm", "m", "inch"), help="what one unit of the part's file is")
@@ -200,14 +211,14 @@ def _slice_options(parser: argparse.ArgumentParser) -> None:
         "--set", action="append", default=[], metavar="KEY=VALUE", dest="overrides",
         help="any dotted key of the job file, repeatable: --set pattern.period=0.8",
     )  # fmt: skip
-    run = parser.add_argument_group("how it is computed (changes no byte, but for the device)")
-    run.add_argument("--layers", type=_layer_range, metavar="A:B", help="only these layers; half-open, like Python's")
-    run.add_argument("--device", metavar="SUBSTRING", help="part of an OpenCL device's name (`amslicer devices`)")
-    run.add_argument("--jobs", type=_positive, metavar="N", help="threads, the device's on CPUs included; default: all")
-    run.add_argument("--overwrite", action="store_true", help="replace a stack in OUT; deletes nothing else")
-    run.add_argument("--resume", action="store_true", help="not built yet in this version")
-    run.add_argument("--dry-run", action="store_true", help="say grid, layers, size and time; write nothing")
-    _output_options(run)
+    return job
+
+
+def _device_options(group: argparse._ArgumentGroup) -> None:
+    group.add_argument("--device", metavar="SUBSTRING", help="part of an OpenCL device's name (`amslicer devices`)")
+    group.add_argument(
+        "--jobs", type=_positive, metavar="N", help="threads, those of CPU devices included; default: all"
+    )
 
 
 def _verify_options(parser: argparse.ArgumentParser) -> None:
@@ -220,11 +231,21 @@ def _verify_options(parser: argparse.ArgumentParser) -> None:
 
 
 def _preview_options(parser: argparse.ArgumentParser) -> None:
-    """Makes a picture of a stack: a contact sheet, or one layer at full size, in true aspect."""
-    parser.add_argument("out", metavar="OUT", help="folder of the stack")
-    parser.add_argument("--layer", type=int, metavar="N", help="this layer alone, every pixel of it")
-    parser.add_argument("-o", "--output", metavar="FILE", help="PNG file; default: OUT-preview.png beside OUT")
-    parser.add_argument("--quiet", action="store_true", help="do not print the picture's path")
+    """Makes a picture: of a part before slicing (painted fields beside layers of the laminate, at fewer pixels), or of
+    a stack (a contact sheet, or one layer at full size), in true aspect."""
+    parser.add_argument("what", metavar="PART|OUT", help="a mesh file, or the folder of a stack")
+    parser.add_argument(
+        "-o", "--output", metavar="FILE",
+        help="PNG file; default: OUT-preview.png beside OUT, or PART-preview-fields.png in the current folder",
+    )  # fmt: skip
+    parser.add_argument("--quiet", action="store_true", help="print neither notes nor the picture's path")
+    parser.add_argument_group("of a stack").add_argument(
+        "--layer", type=int, metavar="N", help="this layer alone, every pixel of it"
+    )
+    part = parser.add_argument_group("of a part")
+    part.add_argument("--fields", metavar="FIELDS.yaml", help="the job file; needed")
+    _device_options(part)
+    _job_options(parser)
 
 
 def _devices_options(parser: argparse.ArgumentParser) -> None:
