@@ -84,14 +84,15 @@ class WindowSlicer(Slicer):
 
 def overview(job: Job, prepared: Prepared) -> View:
     """The whole part at the pixels of a picture, be they too coarse for the laminate."""
-    return _view(job, _pixel_mm(prepared))
+    return view_at(job, _pixel_mm(prepared), whole=True)
 
 
 def close_up(job: Job, prepared: Prepared) -> View:
     """The whole part, or as much of its middle as a picture holds at PERIOD_PX pixels per period."""
-    pitch = job.spec.printer.pitch_mm
+    pitch, fitting_mm = job.spec.printer.pitch_mm, _pixel_mm(prepared)
     coarsest_mm = sheet_bounds(prepared)[0] / PERIOD_PX * min(pitch) / max(pitch)
-    return _view(job, min(coarsest_mm, _pixel_mm(prepared)))
+    whole = max(coarsest_mm, min(pitch)) >= fitting_mm
+    return view_at(job, min(coarsest_mm, fitting_mm), whole=whole)
 
 
 def _pixel_mm(prepared: Prepared) -> float:
@@ -100,32 +101,32 @@ def _pixel_mm(prepared: Prepared) -> float:
     return max(width / SIDE_PX, depth / SIDE_PX, math.sqrt(width * depth / AREA_PX))
 
 
-def _view(job: Job, pixel_mm: float) -> View:
-    """The job at pixels of this (finer) side, or at the printer's if those are larger."""
+def view_at(job: Job, pixel_mm: float, *, whole: bool) -> View:
+    """The job at pixels of this (finer) side, or at the printer's if those are larger.
+
+    Args:
+        whole: show all of it, or only what a picture holds.
+    """
     printer = job.spec.printer
     times = max(1.0, pixel_mm / min(printer.pitch_mm))
     pitch_um = tuple(1000 * times * side for side in printer.pitch_mm)
     changed = printer.model_copy(update={"dpi": None, "pitch_um": pitch_um, "margin_px": 0})
     prepared = prepare(replace(job, spec=job.spec.model_copy(update={"printer": changed})))
-    window = _window(prepared.grid)
-    whole = window == Window((0, prepared.grid.columns), (0, prepared.grid.rows))
-    if not whole:
-        slicer = prepared.slicer
-        prepared = replace(
-            prepared, slicer=WindowSlicer(slicer.corners, slicer.first_layer, slicer.end_layer, slicer.grid, window)
-        )
-    return View(prepared, window, whole)
+    grid, slicer = prepared.grid, prepared.slicer
+    if whole:
+        return View(prepared, Window((0, grid.columns), (0, grid.rows)), whole)
+    window = _middle(grid)
+    cut = WindowSlicer(slicer.corners, slicer.first_layer, slicer.end_layer, slicer.grid, window)
+    return View(replace(prepared, slicer=cut), window, whole)
 
 
-def _window(grid: Grid) -> Window:
-    """The middle of the grid, as much as a picture holds."""
+def _middle(grid: Grid) -> Window:
+    """As much of the middle of the grid as a picture holds."""
     finer = [pitch / min(grid.pitch_mm) for pitch in grid.pitch_mm]  # finest pixels per column and per row
     counts = grid.columns, grid.rows
-    sides = [count * share for count, share in zip(counts, finer, strict=True)]
-    short = min(*sides, math.sqrt(AREA_PX))
+    short = min(math.sqrt(AREA_PX), *(count * share for count, share in zip(counts, finer, strict=True)))
     most = min(SIDE_PX, AREA_PX / short)
-    # One pixel more comes from rounding up to whole pixels.
-    shown = [n if n <= most / share + 1 else int(most / share) for n, share in zip(counts, finer, strict=True)]
+    shown = [min(count, int(most / share)) for count, share in zip(counts, finer, strict=True)]
     first = [(count - n) // 2 for count, n in zip(counts, shown, strict=True)]
     return Window((first[0], first[0] + shown[0]), (first[1], first[1] + shown[1]))
 

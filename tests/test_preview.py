@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import analysis
+import meshes
 import numpy as np
 import parts
 import pytest
@@ -21,15 +22,15 @@ from amslicer.partpreview import (
     PERIOD_PX,
     SIDE_PX,
     View,
-    _view,
     close_up,
     laminate,
     outline,
     overview,
     painted_maps,
+    view_at,
 )
-from amslicer.partsheet import heading, part_sheet
-from amslicer.pictures import BACKGROUND
+from amslicer.partsheet import _field_panels, heading, part_sheet
+from amslicer.pictures import BACKGROUND, GAP, TEXT_HEIGHT
 from amslicer.pipeline import prepare
 
 FINE = {"pitch_um": 50, "layer_um": 50}
@@ -116,7 +117,7 @@ def test_layers_of_a_small_part_are_those_of_its_stack(tmp_path: Path) -> None:
 def test_coarser_pixels_see_the_same_sheets(tmp_path: Path, dimensions: int) -> None:
     """Pixels three times as large have their centres on those of every third pixel of the printer."""
     job = box_job(tmp_path, (9, 6, 0.4), dimensions=dimensions, ratio=0.4, orientation=30)
-    (layer, *_) = laminate(_view(job, 0.15), Run())
+    (layer, *_) = laminate(view_at(job, 0.15, whole=True), Run())
     (printed,) = parts.labels(job, layer.index, layer.index + 1)
     assert layer.labels.shape == (40, 60)
     assert np.mean(layer.labels == printed[1::3, 1::3]) > 0.999
@@ -125,10 +126,10 @@ def test_coarser_pixels_see_the_same_sheets(tmp_path: Path, dimensions: int) -> 
 
 def test_a_window_shows_what_lies_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     job = box_job(tmp_path, (20, 12, 0.2), ratio=0.4, orientation=30, printer=FINE)
-    whole = labels_of(_view(job, 0.05))
+    whole = labels_of(view_at(job, 0.05, whole=True))
     monkeypatch.setattr("amslicer.partpreview.SIDE_PX", 100)
     monkeypatch.setattr("amslicer.partpreview.AREA_PX", 100 * 100)
-    view = _view(job, 0.05)
+    view = view_at(job, 0.05, whole=False)
     assert (view.window.columns, view.window.rows) == ((150, 250), (70, 170))
     shown = labels_of(view)
     assert list(shown) == list(whole)
@@ -147,18 +148,12 @@ def test_the_period_is_the_painted_one(tmp_path: Path) -> None:
 
 def test_the_outline_is_the_part_from_above(tmp_path: Path) -> None:
     """Two boxes that no layer has both of."""
-    low, high = meshes_pair()
-    part = parts.stl(tmp_path, low + high)
+    solid = meshes.joined(meshes.box((2, 2, 1)), meshes.box((2, 2, 1), (4, 0, 2)))
+    part = parts.stl(tmp_path, solid)
     view = close_view(parts.job(part, printer={"pitch_um": 100, "layer_um": 100}))
     seen = outline(view)
     assert seen.shape == (20, 60)
     assert np.array_equal(seen, np.broadcast_to((np.arange(60) < 20) | (np.arange(60) >= 40), seen.shape))
-
-
-def meshes_pair() -> tuple[Any, Any]:
-    import meshes
-
-    return meshes.box((2, 2, 1)), meshes.box((2, 2, 1), (4, 0, 2))
 
 
 def test_painted_maps(tmp_path: Path) -> None:
@@ -191,7 +186,9 @@ def test_painted_maps_of_other_fields_that_vary(tmp_path: Path) -> None:
     assert list(maps.others) == ["isotropy"]
     expected = np.where(np.arange(50) > 0, (np.arange(50) + 0.5) / 50, 0.0)
     assert maps.others["isotropy"] == pytest.approx(np.broadcast_to(expected, (20, 50)))
-    assert part_sheet(painted, Run()).height > part_sheet(prepared, Run()).height - 1
+    view = close_up(painted.job, painted)
+    captions = [panel.caption for panel in _field_panels(view, view)]
+    assert [caption.split(" at ")[0] for caption in captions] == ["ratio of rigid", "normal", "isotropy"]
 
 
 def test_a_ratio_beyond_1_is_refused(tmp_path: Path) -> None:
@@ -263,19 +260,22 @@ def test_the_heading_says_when_only_a_window_is_shown(tmp_path: Path) -> None:
     assert len(heading(prepare(small), close_view(small))) == 2
 
 
-@pytest.mark.parametrize(("size_mm", "wide"), [((24, 8, 1), False), ((8, 24, 1), True)])
+@pytest.mark.parametrize(("size_mm", "rows", "panel_px"), [((24, 8, 1), 3, 160), ((8, 24, 1), 2, 480)])
 def test_long_parts_are_stacked_and_deep_ones_set_side_by_side(
-    tmp_path: Path, size_mm: tuple[float, float, float], wide: bool
+    tmp_path: Path, size_mm: tuple[float, float, float], rows: int, panel_px: int
 ) -> None:
+    """Fields in one column and layers in the other, or fields in one row and layers in the other."""
     sheet = part_sheet(prepare(box_job(tmp_path, size_mm)), Run())
-    assert (sheet.width > sheet.height) == wide
+    text_px = sheet.height - rows * (panel_px + TEXT_HEIGHT + GAP) - 2 * GAP
+    assert text_px % TEXT_HEIGHT == 0
+    assert 3 <= text_px // TEXT_HEIGHT <= 5
 
 
 def test_pixels_that_are_not_square_are_drawn_in_true_aspect(tmp_path: Path) -> None:
     """A plate of one material, twice as wide as deep, under pixels that are twice as deep as wide."""
     sheet = part_sheet(prepare(box_job(tmp_path, (8, 4, 0.05), OBLONG, ratio=1)), Run())
     blue = np.all(np.asarray(sheet) == (0x2B, 0x6C, 0xB0), axis=2)
-    blue[: 6 * 22] = False  # the heading's swatch
+    blue[:, : sheet.width // 2] = False  # the heading's swatch
     row, column = np.nonzero(blue)
     assert np.ptp(column) + 1 == pytest.approx(2 * (np.ptp(row) + 1), rel=0.01)
     assert blue.sum() == (np.ptp(column) + 1) * (np.ptp(row) + 1)
