@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import difflib
+import inspect
 import logging
 import os
 import signal
@@ -28,17 +29,20 @@ from amslicer.errors import (
 USAGE = """\
   amslicer PART --fields FIELDS.yaml [-o OUT] [options]   slice (PART: stl obj ply off glb 3mf)
   amslicer verify OUT [--fields FIELDS.yaml]              check a written stack against its (or other) fields
-  amslicer preview OUT [--layer N] [-o FILE]              pictures of a stack
+  amslicer preview PART --fields FIELDS.yaml [-o FILE]    a picture before slicing: painted fields and laminate
+  amslicer preview OUT [--layer N] [-o FILE]              a picture of a stack
+  amslicer info OUT                                       what is in a stack
   amslicer devices                                        OpenCL devices, and whether each really works
   amslicer printers                                       the printer profiles
   amslicer init [FIELDS.yaml]                             write a commented starter file
+  amslicer schema                                         JSON Schema of the job file, for editors
   amslicer COMMAND --help                                 the options of a command (amslicer slice --help)
 """
 EPILOG = """\
 exit codes: 0 done, 1 unexpected, 2 usage, 3 job, fields or printer, 4 part, 5 OpenCL device,
 6 reading or writing files, 7 verification failed, 130 interrupted, 143 terminated"""
 # Commands of the language that this version does not have yet.
-PLANNED = ("info", "convert", "check", "batch", "gallery", "schema")
+PLANNED = ("convert", "check", "batch", "gallery")
 
 
 class Stopped(BaseException):
@@ -138,7 +142,7 @@ def _run(words: list[str], signals: Signals) -> int:
     add_options, command = COMMANDS[name]
     usage = "amslicer PART --fields FIELDS.yaml [-o OUT] [options]" if name == "slice" else None
     parser = _Parser(
-        prog=f"amslicer {name}", usage=usage, description=add_options.__doc__, epilog=EPILOG,
+        prog=f"amslicer {name}", usage=usage, description=inspect.cleandoc(add_options.__doc__ or ""), epilog=EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter, allow_abbrev=False,
     )  # fmt: skip
     add_options(parser)
@@ -184,11 +188,22 @@ def _slice_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("part", metavar="PART", help="the mesh: stl, obj, ply, off, glb or 3mf")
     parser.add_argument("--fields", metavar="FIELDS.yaml", help="the job file (`amslicer init` writes one)")
     parser.add_argument("-o", "--out", metavar="OUT", help="folder of the stack; default: PART's name without suffix")
-    job = parser.add_argument_group("what is printed (each overrides a key of the job file)")
-    job.add_argument("--printer", metavar="NAME|FILE", help="printer profile (`amslicer printers`)")
+    job = _job_options(parser)
     job.add_argument("--format", metavar="F", help="output format: png")
     job.add_argument("--compression", choices=("fast", "small"), help="of the files; default: fast")
     job.add_argument("--evaluate", choices=("lattice", "exact"), help="how G is computed; this version: always exact")
+    run = parser.add_argument_group("how it is computed (changes no byte, but for the device)")
+    run.add_argument("--layers", type=_layer_range, metavar="A:B", help="only these layers; half-open, like Python's")
+    _device_options(run)
+    run.add_argument("--overwrite", action="store_true", help="replace a stack in OUT; deletes nothing else")
+    run.add_argument("--resume", action="store_true", help="not built yet in this version")
+    run.add_argument("--dry-run", action="store_true", help="say grid, layers, size and time; write nothing")
+    _output_options(run)
+
+
+def _job_options(parser: argparse.ArgumentParser) -> argparse._ArgumentGroup:
+    job = parser.add_argument_group("what is printed (each overrides a key of the job file)")
+    job.add_argument("--printer", metavar="NAME|FILE", help="printer profile (`amslicer printers`)")
     job.add_argument("--seed", type=int, metavar="N", help="of the noise")
     job.add_argument("--scale", type=float, metavar="F", help="factor on the part's lengths")
     job.add_argument("--units", choices=("mm", "cm", "m", "inch"), help="what one unit of the part's file is")
@@ -196,14 +211,14 @@ def _slice_options(parser: argparse.ArgumentParser) -> None:
         "--set", action="append", default=[], metavar="KEY=VALUE", dest="overrides",
         help="any dotted key of the job file, repeatable: --set pattern.period=0.8",
     )  # fmt: skip
-    run = parser.add_argument_group("how it is computed (changes no byte, but for the device)")
-    run.add_argument("--layers", type=_layer_range, metavar="A:B", help="only these layers; half-open, like Python's")
-    run.add_argument("--device", metavar="SUBSTRING", help="part of an OpenCL device's name (`amslicer devices`)")
-    run.add_argument("--jobs", type=_positive, metavar="N", help="threads, the device's on CPUs included; default: all")
-    run.add_argument("--overwrite", action="store_true", help="replace a stack in OUT; deletes nothing else")
-    run.add_argument("--resume", action="store_true", help="not built yet in this version")
-    run.add_argument("--dry-run", action="store_true", help="say grid, layers, size and time; write nothing")
-    _output_options(run)
+    return job
+
+
+def _device_options(group: argparse._ArgumentGroup) -> None:
+    group.add_argument("--device", metavar="SUBSTRING", help="part of an OpenCL device's name (`amslicer devices`)")
+    group.add_argument(
+        "--jobs", type=_positive, metavar="N", help="threads, those of CPU devices included; default: all"
+    )
 
 
 def _verify_options(parser: argparse.ArgumentParser) -> None:
@@ -216,11 +231,21 @@ def _verify_options(parser: argparse.ArgumentParser) -> None:
 
 
 def _preview_options(parser: argparse.ArgumentParser) -> None:
-    """Makes a picture of a stack: a contact sheet, or one layer at full size, in true aspect."""
-    parser.add_argument("out", metavar="OUT", help="folder of the stack")
-    parser.add_argument("--layer", type=int, metavar="N", help="this layer alone, every pixel of it")
-    parser.add_argument("-o", "--output", metavar="FILE", help="PNG file; default: OUT-preview.png beside OUT")
-    parser.add_argument("--quiet", action="store_true", help="do not print the picture's path")
+    """Makes a picture: of a part before slicing (painted fields beside layers of the laminate, at fewer pixels), or of
+    a stack (a contact sheet, or one layer at full size), in true aspect."""
+    parser.add_argument("what", metavar="PART|OUT", help="a mesh file, or the folder of a stack")
+    parser.add_argument(
+        "-o", "--output", metavar="FILE",
+        help="PNG file; default: OUT-preview.png beside OUT, or PART-preview-fields.png in the current folder",
+    )  # fmt: skip
+    parser.add_argument("--quiet", action="store_true", help="print neither notes nor the picture's path")
+    parser.add_argument_group("of a stack").add_argument(
+        "--layer", type=int, metavar="N", help="this layer alone, every pixel of it"
+    )
+    part = parser.add_argument_group("of a part")
+    part.add_argument("--fields", metavar="FIELDS.yaml", help="the job file; needed")
+    _device_options(part)
+    _job_options(parser)
 
 
 def _devices_options(parser: argparse.ArgumentParser) -> None:
@@ -239,6 +264,24 @@ def _init_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("file", nargs="?", default="fields.yaml", metavar="FIELDS.yaml", help="default: fields.yaml")
 
 
+def _schema_options(parser: argparse.ArgumentParser) -> None:
+    """Prints the JSON Schema of the job file (draft 2020-12), for editors:
+
+    amslicer schema > fields.schema.json
+
+    and, as the first line of the job file beside it (VS Code with its YAML extension, and others; `amslicer init`
+    writes this line):
+
+    # yaml-language-server: $schema=fields.schema.json
+    """
+
+
+def _info_options(parser: argparse.ArgumentParser) -> None:
+    """Says what is in a stack: part, grid, layers, materials, and the job behind it. Looks at no bitmap."""
+    parser.add_argument("out", metavar="OUT", help="folder of the stack")
+    _output_options(parser)
+
+
 def _output_options(parser: argparse.ArgumentParser | argparse._ArgumentGroup) -> None:
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
     parser.add_argument("--quiet", action="store_true", help="print nothing but errors (and --json)")
@@ -252,6 +295,8 @@ COMMANDS: dict[str, tuple[Callable[[argparse.ArgumentParser], None], str]] = {
     "devices": (_devices_options, "devices_command"),
     "printers": (_printers_options, "printers_command"),
     "init": (_init_options, "init_command"),
+    "schema": (_schema_options, "schema_command"),
+    "info": (_info_options, "info_command"),
 }
 
 

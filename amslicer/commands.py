@@ -12,33 +12,25 @@ from typing import TYPE_CHECKING, Any
 from amslicer.errors import CheckFailed, DeviceError, JobError, PartError, UsageError
 
 if TYPE_CHECKING:
+    from PIL.Image import Image
+
     from amslicer.job import Job
     from amslicer.pipeline import Progress, Run
 
+OF_PARTS = ("fields", "printer", "seed", "scale", "units", "device", "jobs")  # options of a preview before slicing
 DRY_RUN_SAMPLES = 4  # layers made to estimate time and size
 
 
 def slice_command(options: Namespace, check: Callable[[], None]) -> int:
     """amslicer PART --fields FIELDS.yaml"""
-    if not Path(options.part).exists():
-        from amslicer.meshfiles import READERS
-
-        raise PartError(
-            f"there is no part '{options.part}'",
-            hint=f"name a mesh file ({' '.join(READERS)}); `amslicer --help` lists the commands",
-        )
-    if options.fields is None:
-        raise UsageError(
-            f"no fields for '{options.part}': --fields is missing",
-            hint=f"`amslicer init` writes a starter file; then: amslicer {options.part} --fields fields.yaml",
-        )
+    _check_part(options.part, options.fields)
     if options.out == "":
         raise UsageError("-o: the folder's name is empty", hint="leave -o out for the part's name")
     if options.resume:
         raise UsageError("--resume is not built yet in this version", hint="run again with --overwrite")
     from amslicer.pipeline import Run
 
-    job = _load(options)
+    job = _load(options, options.part)
     run = Run(options.device, options.jobs, options.layers)
     if options.dry_run:
         return _dry_run(job, run, options)
@@ -50,6 +42,22 @@ def slice_command(options: Namespace, check: Callable[[], None]) -> int:
         result = slice_job(job, out, run=run, overwrite=options.overwrite, progress=_checked(show, check))
     _show(options, report.result_dict(result), lambda: report.print_result(result))
     return 0
+
+
+def _check_part(part: str, fields: str | None) -> None:
+    """Sees that there are a part and a job file to begin with."""
+    if not Path(part).exists():
+        from amslicer.meshfiles import READERS
+
+        raise PartError(
+            f"there is no part '{part}'",
+            hint=f"name a mesh file ({' '.join(READERS)}); `amslicer --help` lists the commands",
+        )
+    if fields is None:
+        raise UsageError(
+            f"no fields for '{part}': --fields is missing",
+            hint=f"`amslicer init` writes a starter file; then: amslicer {part} --fields fields.yaml",
+        )
 
 
 def _show(options: Namespace, data: Any, table: Callable[[], None]) -> None:
@@ -74,7 +82,7 @@ def _checked(show: Progress | None, check: Callable[[], None]) -> Progress:
     return both
 
 
-def _load(options: Namespace) -> Job:
+def _load(options: Namespace, part: str) -> Job:
     from amslicer.job import load_job
     from amslicer.jobfile import OVERRIDES
     from amslicer.yamlfile import parse_value
@@ -84,9 +92,9 @@ def _load(options: Namespace) -> Job:
     if printer and printer.endswith((".yaml", ".yml")):
         printer = str(Path(printer).absolute())  # of the command line: relative to where it was typed
     direct = {
-        "printer": printer, "output.format": options.format, "output.compression": options.compression,
-        "pattern.evaluate": options.evaluate, "pattern.seed": options.seed, "part.scale": options.scale,
-        "part.units": options.units,
+        "printer": printer, "pattern.seed": options.seed, "part.scale": options.scale, "part.units": options.units,
+        "output.format": getattr(options, "format", None), "pattern.evaluate": getattr(options, "evaluate", None),
+        "output.compression": getattr(options, "compression", None),
     }  # fmt: skip
     overrides.update({key: value for key, value in direct.items() if value is not None})
     for setting in options.overrides:
@@ -98,7 +106,7 @@ def _load(options: Namespace) -> Job:
         except JobError as error:
             raise UsageError(error.message, hint=error.hint) from None
     try:
-        return load_job(options.fields, options.part, overrides)
+        return load_job(options.fields, part, overrides)
     except UsageError as error:
         # Users of the command line know --set and --seed, not the overrides that they become.
         raise UsageError(error.message.replace(OVERRIDES, "command line", 1), hint=error.hint) from None
@@ -127,19 +135,57 @@ def verify_command(options: Namespace, check: Callable[[], None]) -> int:
 
 
 def preview_command(options: Namespace, check: Callable[[], None]) -> int:
-    """amslicer preview OUT"""
+    """amslicer preview PART|OUT"""
     import io
 
-    if Path(options.out).is_file():
-        raise UsageError(
-            f"'{options.out}' is a file: previews of a part before slicing are not built yet in this version",
-            hint="slice it first (--layers A:B makes a few layers), then preview the stack",
-        )
-    from amslicer.pictures import contact_sheet, layer_picture
-    from amslicer.stack import open_stack
+    from amslicer.meshfiles import READERS
     from amslicer.storage import write_atomically
 
-    stack = open_stack(options.out)
+    what = Path(options.what)
+    of_part = what.is_file() or (not what.is_dir() and what.suffix.lower().removeprefix(".") in READERS)
+    picture, file = _part_picture(options) if of_part else _stack_picture(options)
+    stream = io.BytesIO()
+    picture.save(stream, "PNG")
+    write_atomically(file, stream.getvalue())
+    if not options.quiet:
+        print(file)
+    return 0
+
+
+def _part_picture(options: Namespace) -> tuple[Image, Path]:
+    """The picture of a part before slicing, and the file that it goes to."""
+    part = options.what
+    if options.layer is not None:
+        raise UsageError(f"--layer is for stacks, and '{part}' is a part", hint="leave it out, or slice the part first")
+    _check_part(part, options.fields)
+    from amslicer import report
+    from amslicer.partsheet import part_sheet
+    from amslicer.pipeline import Run, prepare
+
+    job = _load(options, part)
+    file = Path(options.output or f"{Path(part).stem}-preview-fields.png")
+    sources = [Path(part), Path(options.fields), *(job.inputs.folder / path for path in job.input_paths())]
+    if file.resolve() in [source.resolve() for source in sources]:
+        raise UsageError(f"-o: '{file}' is what the preview is made from", hint="choose another name")
+    prepared = prepare(job)
+    if not options.quiet:
+        report.print_notes(prepared.notes())
+    return part_sheet(prepared, Run(options.device, options.jobs)), file
+
+
+def _stack_picture(options: Namespace) -> tuple[Image, Path]:
+    """The picture of a stack, and the file that it goes to."""
+    from amslicer.pictures import contact_sheet, layer_picture
+    from amslicer.stack import open_stack
+
+    given = [name for name in OF_PARTS if getattr(options, name) is not None]
+    if given or options.overrides:
+        name = given[0] if given else "set"
+        raise UsageError(
+            f"--{name} is for parts, and '{options.what}' is not a mesh file",
+            hint="the picture of a stack shows what was written: leave it out",
+        )
+    stack = open_stack(options.what)
     if options.layer is None:
         picture = contact_sheet(stack)
     else:
@@ -149,14 +195,18 @@ def preview_command(options: Namespace, check: Callable[[], None]) -> int:
                 f"the stack has no layer {options.layer}", hint=f"it has {min(positions)} to {max(positions)}"
             )
         picture = layer_picture(stack[positions[options.layer]], stack.colors, stack.grid.pitch_mm)
-    folder = Path(options.out).resolve()
+    folder = Path(options.what).resolve()
     ending = "" if options.layer is None else f"-layer{options.layer:05d}"
-    file = Path(options.output) if options.output else folder.with_name(f"{folder.name}-preview{ending}.png")
-    stream = io.BytesIO()
-    picture.save(stream, "PNG")
-    write_atomically(file, stream.getvalue())
-    if not options.quiet:
-        print(file)
+    return picture, Path(options.output or folder.with_name(f"{folder.name}-preview{ending}.png"))
+
+
+def info_command(options: Namespace, check: Callable[[], None]) -> int:
+    """amslicer info OUT"""
+    from amslicer import report
+    from amslicer.stackinfo import describe_folder
+
+    found = describe_folder(options.out)
+    _show(options, report.info_dict(found), lambda: report.print_info(found))
     return 0
 
 
@@ -181,13 +231,13 @@ def printers_command(options: Namespace, check: Callable[[], None]) -> int:
     from amslicer.specification import Printer
 
     printers = [Printer.model_validate(read_printer(name, Path())) for name in printer_names()]
-    rows = [{"name": p.name, "pitch_mm": p.pitch_mm, "layer_mm": p.layer_height_mm} for p in printers]
-    _show(options, rows, lambda: report.print_printers(printers))
+    _show(options, [report.printer_dict(p) for p in printers], lambda: report.print_printers(printers))
     return 0
 
 
 def init_command(options: Namespace, check: Callable[[], None]) -> int:
     """amslicer init"""
+    from amslicer.schema import SCHEMA_FILE
     from amslicer.starter import starter_file
     from amslicer.storage import write_atomically
 
@@ -196,4 +246,16 @@ def init_command(options: Namespace, check: Callable[[], None]) -> int:
         raise UsageError(f"'{file}' exists already", hint="choose another name: amslicer init NAME.yaml")
     write_atomically(file, starter_file(file.name).encode())
     print(f"{file}: edit it, then `amslicer part.stl --fields {file} -o out`", file=sys.stderr)
+    print(f"for editors that check it: `amslicer schema > {file.with_name(SCHEMA_FILE)}`", file=sys.stderr)
+    return 0
+
+
+def schema_command(options: Namespace, check: Callable[[], None]) -> int:
+    """amslicer schema"""
+    from amslicer import report
+    from amslicer.schema import job_schema
+    from amslicer.storage import json_bytes
+
+    with report.a_reader_may_leave():
+        print(json_bytes(job_schema()).decode(), end="")
     return 0

@@ -27,7 +27,6 @@ UNBUILT_KEYS = (
     "skin",
     "bodies",
 )
-UNBUILT_VALUES = ("grabcad", "gcvf", "sl1", "tiff", "zarr", "vti", "nrrd", "3mf", "svx")
 
 
 @dataclass
@@ -74,10 +73,12 @@ def validate(content: dict[str, Any], origin: Origin, overrides: Mapping[str, An
     for key, value in overrides.items():
         _override(content, tuple(key.split(".")), value, origin)
     content["printer"] = _expand_printer(content["printer"], origin.folder)
+    _take_printers_format(content)
     try:
         spec = JobFile.model_validate(content)
     except ValidationError as error:
         raise _explain(error, content, origin) from None
+    _refuse_many_materials(spec, origin)
     _refuse_unbuilt(spec, origin)
     _refuse_contradictions(spec, origin)
     return spec
@@ -111,6 +112,16 @@ def _expand_printer(printer: Any, folder: Path) -> Any:
     from amslicer.printers import read_printer
 
     return read_printer(printer, folder) if isinstance(printer, str) else printer
+
+
+def _take_printers_format(content: dict[str, Any]) -> None:
+    """Writes the stack as the printer's software takes it, where the job does not say how and this version can."""
+    from amslicer.writers import WRITERS
+
+    printer, output = content["printer"], content.get("output", {})
+    wanted = printer.get("format") if isinstance(printer, dict) else None
+    if isinstance(wanted, str) and wanted in WRITERS and isinstance(output, dict):
+        content["output"] = {"format": wanted, **output}
 
 
 def _explain(error: ValidationError, content: dict[str, Any], origin: Origin) -> AmslicerError:
@@ -187,8 +198,9 @@ def _source_hint(value: Any) -> str | None:
     import difflib
 
     from amslicer.fields import PLANNED, SOURCES
+    from amslicer.specification import FORMAT_NAMES
 
-    if isinstance(value, str) and value in UNBUILT_VALUES:
+    if isinstance(value, str) and value in FORMAT_NAMES:
         return "not built yet in this version"
     if not isinstance(value, dict):
         return None
@@ -202,6 +214,17 @@ def _source_hint(value: Any) -> str | None:
         if near:
             return f"did you mean {near[0]}?"
     return None
+
+
+def _refuse_many_materials(spec: JobFile, origin: Origin) -> None:
+    """More materials than the printer has."""
+    most = spec.printer.max_materials
+    if most is not None and len(spec.materials) > most:
+        raise origin.error(
+            ("materials",),
+            f"materials: {len(spec.materials)} of them, but {spec.printer.name or 'the printer'} prints at most {most}",
+            "leave some out, or choose another printer (`amslicer printers` lists them)",
+        )
 
 
 def _refuse_unbuilt(spec: JobFile, origin: Origin) -> None:

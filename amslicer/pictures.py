@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 if TYPE_CHECKING:
     from PIL.Image import Image
+    from PIL.ImageDraw import ImageDraw
+    from PIL.ImageFont import FreeTypeFont
+    from PIL.ImageFont import ImageFont as BitmapFont
 
     from amslicer.layer import Layer
     from amslicer.stack import Stack
+
+    Font = FreeTypeFont | BitmapFont
 
 BACKGROUND = (255, 255, 255)
 INK = (45, 55, 72)
@@ -67,12 +73,11 @@ def contact_sheet(stack: Stack, count: int = THUMBNAILS) -> Image:
     draw = ImageDraw.Draw(sheet)
     font = ImageFont.load_default(size=16)
 
-    x = GAP
-    for entry in stack.manifest["materials"]:
-        draw.rectangle((x, GAP, x + 16, GAP + 16), fill=entry["color"], outline=INK)
-        text = f"{entry['name']} {100 * entry['ratio']:.2f} % (asked {100 * entry['ratio_asked']:.2f} %)"
-        draw.text((x + 24, GAP), text, fill=INK, font=font)
-        x += 48 + int(draw.textlength(text, font=font))
+    entries = [
+        (m["color"], f"{m['name']} {100 * m['ratio']:.2f} % (asked {100 * m['ratio_asked']:.2f} %)")
+        for m in stack.manifest["materials"]
+    ]
+    draw_legend(draw, (GAP, GAP), entries, font)
     sheet.paste(main, (GAP, 2 * GAP + TEXT_HEIGHT))
     caption = _caption(stack[largest], main.width / (stack.grid.width_px * pitch[0]))
     draw.text((GAP, 2 * GAP + TEXT_HEIGHT + main.height), caption, fill=INK, font=font)
@@ -83,6 +88,15 @@ def contact_sheet(stack: Stack, count: int = THUMBNAILS) -> Image:
         sheet.paste(thumb, (left, upper))
         draw.text((left, upper + thumb.height), _caption(stack[position]), fill=INK, font=font)
     return sheet
+
+
+def draw_legend(draw: ImageDraw, place: tuple[int, int], entries: Sequence[tuple[str, str]], font: Font) -> None:
+    """Writes a line of materials: a swatch of the colour, then the text."""
+    x, y = place
+    for color, text in entries:
+        draw.rectangle((x, y, x + 16, y + 16), fill=color, outline=INK)
+        draw.text((x + 24, y), text, fill=INK, font=font)
+        x += 48 + int(draw.textlength(text, font=font))
 
 
 def _fitting(stack: Stack, side: int) -> int:

@@ -20,6 +20,7 @@ from amslicer.grid import Grid, cover
 from amslicer.layer import Layer
 from amslicer.mask import Slicer, join_runs, make_slicer
 from amslicer.mesh import Mesh, read_mesh
+from amslicer.notes import notes_of
 from amslicer.painted import Painted, open_fields
 from amslicer.pattern import Pattern, make_noise
 from amslicer.placement import Placement, place
@@ -43,10 +44,8 @@ MAX_LAYER_PIXELS = 170_000_000
 MAX_LAYERS = 1_000_000
 MAX_SIDE_MM = 1e7  # 10 km
 MAX_KERNELS, MAX_TABLE_BYTES = 20_000_000, 8 << 30  # of one batch of layers: beyond, memory runs out
-NOTED_MM = 5e-4  # moves that would be shown as 0.000 mm are float noise
 MAX_PERIOD_RATIO = 4  # longest to shortest painted period: kernels are drawn at the density of the shortest
 PERIOD_ROUNDING = 1e-9
-MIN_PERIOD_PX = 3  # below, pixels do not show where one sheet ends
 
 
 @dataclass(frozen=True)
@@ -94,33 +93,8 @@ class Prepared:
         return Pattern(self.job, self.painted, self.grid, self.tiling, device)
 
     def notes(self) -> list[str]:
-        """What a person should know about the part, in sentences."""
-        notes = list(self.mesh.notes)
-        lifted = self.placement.lifted_mm
-        if abs(lifted) >= NOTED_MM:
-            was, moved = ("above", "down") if lifted < 0 else ("below", "up")
-            notes.append(f"the part was {abs(lifted):.3f} mm {was} the bed: moved {moved} to z = 0")
-        notes.extend(self._fineness_notes())
-        return notes
-
-    def _fineness_notes(self) -> Iterator[str]:
-        """Whether pixels show the sheets."""
-        shortest = self.painted.period_bounds_mm[0]
-        heights = (self.grid.layer_mm,) if self.job.spec.pattern.dimensions == 3 else ()
-        pitch = max(*self.grid.pitch_mm, *heights)
-        if shortest < MIN_PERIOD_PX * pitch:
-            yield (
-                f"the period of {shortest:g} mm is {shortest / pitch:.1f} pixels or layers of "
-                f"{1000 * pitch:.0f} µm: sheets are lost below {MIN_PERIOD_PX}"
-            )
-            return
-        shares = [low for low, _ in self.painted.share_bounds() if low > 0]
-        thinnest = min(shares, default=1.0) * shortest
-        if thinnest < pitch:
-            yield (
-                f"the thinnest sheets are {1000 * thinnest:.0f} µm, less than a pixel or layer of "
-                f"{1000 * pitch:.0f} µm: the ratio will not be exact there"
-            )
+        """What a person should know about the job, in sentences."""
+        return notes_of(self)
 
 
 def prepare(job: Job) -> Prepared:

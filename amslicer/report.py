@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from amslicer.pipeline import Estimate
     from amslicer.specification import Printer
     from amslicer.stack import Result
+    from amslicer.stackinfo import StackInfo
     from amslicer.verification import Report
 
 LINE_SECONDS = 10.0  # between two lines of progress where there is no terminal
@@ -142,6 +143,57 @@ def print_report(found: Report) -> None:
     print(f"{found.out}: {found.layers} layers, {verdict}")
 
 
+def print_info(found: StackInfo) -> None:
+    """What a stack holds."""
+    pitch, printer, pattern = _sides(found.pitch_mm, 1000, ".2f"), found.printer, found.pattern
+    layers = f"{found.layer_count} of {1000 * found.layer_mm:g} µm"
+    if not found.complete:
+        there = ", ".join(f"{first}:{end}" for first, end in found.layer_ranges)
+        layers += f"; INCOMPLETE: {found.layers} are there ({there})"
+    rows = [
+        ("part", f"{found.part}, {' × '.join(f'{v:.5g}' for v in found.size_mm)} mm"),
+        ("bitmaps", f"{found.width_px} × {found.height_px} pixels of {pitch} µm"),
+        ("layers", layers),
+        ("printer", printer.get("name") or ("-" if found.problem else "said in the job file, without a name")),
+        ("pattern", _pattern_text(pattern) if pattern else "-"),
+        ("device", found.device),
+        ("amslicer", found.version),
+        ("digest", found.digest),
+        ("on disk", f"{found.bytes / 1e6:,.1f} MB in {found.out}"),
+    ]
+    for name, value in rows:
+        print(f"{name:9}{value}")
+    if found.problem:
+        print(f"{'job':9}cannot be read: {found.problem}")
+    materials = [
+        (
+            m.name, m.color, f"{m.volume_mm3:,.2f}", "-" if m.grams is None else f"{m.grams:.3f}",
+            f"{100 * m.asked:.2f} %", f"{100 * m.ratio:.2f} %",
+        )
+        for m in found.materials
+    ]  # fmt: skip
+    _table(("material", "colour", "mm³", "grams", "ratio asked", "ratio got"), materials, left=(0, 1))
+
+
+def _pattern_text(pattern: dict[str, Any]) -> str:
+    period = pattern["period"]
+    shown = f"{period:g} mm" if isinstance(period, float) else "painted"
+    return (
+        f"{pattern['noise']} in {pattern['dimensions']}D, period {shown}, bandwidth {pattern['bandwidth']:g}, "
+        f"profile {pattern['profile']}, seed {pattern['seed']}"
+    )
+
+
+def info_dict(found: StackInfo) -> dict[str, Any]:
+    """For --json."""
+    return {
+        **vars(found),
+        "out": str(found.out),
+        "layers": found.layers,
+        "materials": [vars(m) for m in found.materials],
+    }
+
+
 def print_devices(devices: Sequence[DeviceInfo]) -> None:
     """The OpenCL devices and their verdicts."""
     for d in devices:
@@ -150,24 +202,48 @@ def print_devices(devices: Sequence[DeviceInfo]) -> None:
 
 
 def print_printers(printers: Sequence[Printer]) -> None:
-    """The printer profiles."""
+    """The printer profiles; "-" where a profile does not say."""
     rows = [
         (
-            p.name or "", f"{1000 * p.pitch_mm[0]:.2f} × {1000 * p.pitch_mm[1]:.2f} µm",
-            f"{1000 * p.layer_height_mm:g} µm", p.description or "",
+            p.name or "", _sides(p.pitch_mm, 1000, ".2f"), f"{1000 * p.layer_height_mm:g}", _sides(p.bed_mm),
+            _sides(p.feature_mm, 1000), "-" if p.max_materials is None else f"{p.max_materials}",
         )
         for p in printers
     ]  # fmt: skip
-    _table(("printer", "pixel", "layer", ""), rows, left=(0, 3))
+    head = ("printer", "pixel µm", "layer µm", "bed mm", "smallest feature µm", "materials")
+    _table(head, rows, wrapped=range(1, len(head)))
 
 
-def _table(head: Sequence[str], rows: Sequence[Sequence[str]], left: Sequence[int] = (0,)) -> None:
+def _sides(lengths: Sequence[float] | None, factor: float = 1, digits: str = "g") -> str:
+    """Lengths as one reads them: "42.33 × 84.67", or one number where they are the same."""
+    same = lengths[:1] if lengths and len(set(lengths)) == 1 else lengths
+    return " × ".join(f"{factor * v:{digits}}" for v in same) if same else "-"
+
+
+def printer_dict(printer: Printer) -> dict[str, Any]:
+    """For --json: None where a profile does not say."""
+    return {
+        "name": printer.name,
+        "description": printer.description,
+        "pitch_mm": printer.pitch_mm,
+        "layer_mm": printer.layer_height_mm,
+        "bed_mm": printer.bed_mm,
+        "smallest_feature_mm": printer.feature_mm,
+        "max_materials": printer.max_materials,
+        "min_layers": printer.min_layers,
+        "format": printer.format,
+    }
+
+
+def _table(
+    head: Sequence[str], rows: Sequence[Sequence[str]], left: Sequence[int] = (0,), wrapped: Sequence[int] = ()
+) -> None:
     from rich import box
     from rich.table import Table
 
     table = Table(box=box.SIMPLE_HEAD)
     for i, name in enumerate(head):
-        table.add_column(name, justify="left" if i in left else "right", no_wrap=True)
+        table.add_column(name, justify="left" if i in left else "right", no_wrap=i not in wrapped)
     for row in rows:
         table.add_row(*row)
     # rich would end the process when the reader of a pipe has left.

@@ -36,6 +36,7 @@ NOISE_NAMES = (
 )  # fmt: skip
 PROFILE_NAMES = ("pwm", "symmetric", "cyclic")
 REST = "rest"  # of a ratio per material: what the others leave
+FORMAT_NAMES = ("png", "grabcad", "gcvf", "sl1", "tiff", "zarr", "vti", "nrrd", "3mf", "svx")
 
 
 class Model(BaseModel):
@@ -45,15 +46,32 @@ class Model(BaseModel):
 
 
 class Printer(Model):
-    """A printer's grid. Pitch as dpi or pitch_um, layer as layer_mm or layer_um."""
+    """A printer's grid, and what is known of the machine. Pitch as dpi or pitch_um, layer as layer_mm or layer_um."""
 
     name: str | None = Field(default=None, description="the profile that this grid comes from")
-    description: str | None = None
+    description: str | None = Field(default=None, description="one line for `amslicer printers`")
     dpi: Positive | tuple[Positive, Positive] | None = Field(default=None, description="dots per inch, or [x, y]")
     pitch_um: Positive | tuple[Positive, Positive] | None = Field(default=None, description="pixel size, or [x, y]")
     layer_mm: Positive | None = Field(default=None, description="layer height")
     layer_um: Positive | None = Field(default=None, description="layer height")
     margin_px: Annotated[Whole, Field(ge=0, le=10_000)] = Field(default=0, description="empty pixels on each side")
+    smallest_feature_um: Positive | tuple[Positive, Positive, Positive] | None = Field(
+        default=None, description="thinnest sheet that the machine makes, or [x, y, z]; thinner ones are noted"
+    )
+    bed_mm: tuple[Positive, Positive, Positive] | None = Field(
+        default=None, description="largest part, [x, y, z] in mm; larger ones are noted"
+    )
+    max_materials: Annotated[Whole, Field(ge=1)] | None = Field(
+        default=None, description="materials in one print; a job with more is refused"
+    )
+    min_layers: Annotated[Whole, Field(ge=1)] | None = Field(
+        default=None, description="layers that the machine's software needs; fewer are noted"
+    )
+    # A wish, not an order: a profile may name a format that is not built yet, so that the profile need not change when
+    # it is. The job is then written as png, and a note says so; refusing it would make the whole profile useless.
+    format: Literal[FORMAT_NAMES] | None = Field(  # type: ignore[valid-type]
+        default=None, description="what the machine's software takes: output.format where the job names none"
+    )
 
     @model_validator(mode="after")
     def _one_of_each(self) -> Printer:
@@ -83,6 +101,15 @@ class Printer(Model):
             return self.layer_mm
         assert self.layer_um is not None
         return self.layer_um / 1000
+
+    @property
+    def feature_mm(self) -> tuple[float, float, float] | None:
+        """Smallest feature along x, y and z, where it is known."""
+        um = self.smallest_feature_um
+        if um is None:
+            return None
+        x, y, z = um if isinstance(um, tuple) else (um, um, um)
+        return x / 1000, y / 1000, z / 1000
 
 
 class PartSettings(Model):
@@ -132,11 +159,14 @@ class Pattern(Model):
     edges: Literal["sharp", "dithered"] = Field(
         default="sharp", description="of sheets: as the pixel centres see them, or unbiased at random within the pixel"
     )
-    seed: Annotated[Whole, Field(ge=0, le=MAX_SEED)] = 1
+    seed: Annotated[Whole, Field(ge=0, le=MAX_SEED)] = Field(default=1, description="another seed, another laminate")
 
 
 class AzimuthElevation(Model):
     """A direction in space: two fields in degrees."""
+
+    # Without either key it is not recognised as a direction in space.
+    model_config = ConfigDict(json_schema_extra={"minProperties": 1})
 
     azimuth: FieldSpec = Field(default=0.0, description="from +x towards +y")
     elevation: FieldSpec = Field(default=0.0, description="above the xy plane")
@@ -177,8 +207,13 @@ def _ratio_kind(value: Any) -> str:
 ShareSpec = Annotated[
     Annotated[Literal["rest"], Tag(REST)] | Annotated[FieldSpec, Tag("share")], Discriminator(_share_kind)
 ]
+# By a material's name; a mapping with a source's key in it is a field.
+Shares = Annotated[
+    dict[str, ShareSpec],
+    Field(min_length=2, json_schema_extra={"propertyNames": {"not": {"enum": [*SOURCES, *PLANNED]}}}),
+]
 RatioSpec = Annotated[
-    Annotated[dict[str, ShareSpec], Tag("per material")] | Annotated[FieldSpec, Tag("field")],
+    Annotated[Shares, Tag("per material")] | Annotated[FieldSpec, Tag("field")],
     Discriminator(_ratio_kind),
 ]
 
@@ -206,12 +241,12 @@ class Output(Model):
 class JobFile(Model):
     """A whole job file, with its defaults filled in."""
 
-    printer: Printer
-    part: PartSettings = PartSettings()
+    printer: Printer = Field(description="pixels and layers: a profile's name, a .yaml file, or the grid itself")
+    part: PartSettings = Field(default=PartSettings(), description="how the part's file is read and placed")
     materials: tuple[Material, ...] = Field(min_length=2, max_length=8, description="in the order of the profile")
-    pattern: Pattern = Pattern()
-    fields: Fields
-    output: Output = Output()
+    pattern: Pattern = Field(default=Pattern(), description="the laminate: noise, period, profile")
+    fields: Fields = Field(description="what is painted on the part")
+    output: Output = Field(default=Output(), description="how the stack is written")
 
     @field_validator("materials", mode="before")
     @classmethod

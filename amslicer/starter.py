@@ -5,14 +5,17 @@ from __future__ import annotations
 from amslicer.fields import SOURCES
 from amslicer.jobfile import DEFAULT_PRINTER
 from amslicer.noise.phasor import DEFAULT_IMPULSES
-from amslicer.printers import printer_names
+from amslicer.schema import SCHEMA_FILE
 from amslicer.specification import DEFAULT_COLORS, Output, Pattern
 
 STARTER = """\
+# yaml-language-server: $schema={schema}
+# (for editors: `amslicer schema > {schema}` beside this file, and they check and complete what you type)
+#
 # A job for amslicer: `amslicer part.stl --fields {name} -o out`
 # Lengths are mm and angles degrees. What is commented out shows the default.
 
-printer: {printer}            # {printers}
+printer: {printer}            # a profile: `amslicer printers` lists them, DLP and PolyJet machines too;
                                    # or a .yaml file, or inline: {{dpi: [600, 300], layer_mm: 0.027}},
                                    # {{pitch_um: [42.3, 84.7], layer_um: 27, margin_px: 0}}
 # part:
@@ -56,6 +59,6 @@ fields:
 def starter_file(name: str) -> str:
     """The text of a commented job file, to be written under this name."""
     return STARTER.format(
-        name=name, printer=DEFAULT_PRINTER, printers=", ".join(printer_names()), sources=", ".join(SOURCES),
-        colors=DEFAULT_COLORS, pattern=Pattern(), impulses=DEFAULT_IMPULSES, output=Output(),
+        name=name, printer=DEFAULT_PRINTER, sources=", ".join(SOURCES),
+        schema=SCHEMA_FILE, colors=DEFAULT_COLORS, pattern=Pattern(), impulses=DEFAULT_IMPULSES, output=Output(),
     )  # fmt: skip

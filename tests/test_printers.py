@@ -9,11 +9,16 @@ import meshes
 import pytest
 
 from amslicer import JobError, load_job
+from amslicer.jobfile import _take_printers_format
 from amslicer.pipeline import prepare
 from amslicer.printers import printer_names, read_printer
 from amslicer.specification import Printer
+from amslicer.writers import WRITERS
 
 CONFIGS = Path(__file__).parents[1] / "configs" / "printers"
+
+
+LEAST = {"materials": ["a", "b"], "fields": {"ratio": 0.3}}
 
 
 def job_printer(printer: Any) -> Printer:
@@ -47,6 +52,9 @@ def test_every_profile_is_a_printer(file: Path) -> None:
         ("generic-600dpi", (600, 600), 0.027),
         ("generic-600x300dpi", (600, 300), 0.027),
         ("generic-1200dpi", (1200, 1200), 0.015),
+        ("stratasys-j750-high-mix", (600, 300), 0.027),
+        ("stratasys-j750-high-quality", (600, 300), 0.014),
+        ("stratasys-j55", (300, 300), 0.01875),
     ],
 )
 def test_the_grids_of_the_profiles(name: str, dpi: tuple[int, int], layer_mm: float) -> None:
@@ -54,6 +62,30 @@ def test_the_grids_of_the_profiles(name: str, dpi: tuple[int, int], layer_mm: fl
     assert printer.pitch_mm == (25.4 / dpi[0], 25.4 / dpi[1])
     assert printer.layer_height_mm == layer_mm
     assert printer.margin_px == 0
+
+
+@pytest.mark.parametrize(
+    ("name", "pixels", "pitch_mm"), [("dlp-35um", (3840, 2400), 0.035), ("dlp-50um", (2560, 1620), 0.05)]
+)
+def test_a_panel_is_as_large_as_its_pixels(name: str, pixels: tuple[int, int], pitch_mm: float) -> None:
+    printer = job_printer(name)
+    assert printer.pitch_mm == pytest.approx((pitch_mm, pitch_mm), rel=1e-15)
+    assert printer.layer_height_mm == 0.05
+    assert printer.bed_mm is not None
+    assert printer.bed_mm[:2] == pytest.approx([n * pitch_mm for n in pixels])
+    assert f"{pixels[0]} × {pixels[1]}" in (printer.description or "")
+
+
+@pytest.mark.parametrize("name", [name for name in printer_names() if name.startswith("stratasys")])
+def test_what_grabcad_asks_for(name: str) -> None:
+    """At least 30 slices, at most 6 colours (5 on a J55); where a number comes from stands beside it."""
+    printer = job_printer(name)
+    assert printer.min_layers == 30
+    assert printer.max_materials == (5 if name.endswith("j55") else 6)
+    assert printer.format == "grabcad"
+    for line in (CONFIGS / f"{name}.yaml").read_text(encoding="utf-8").splitlines():
+        if line.split(":")[0] in ("dpi", "layer_mm", "layer_um", "bed_mm", "max_materials", "min_layers"):
+            assert "second-hand" in line
 
 
 @pytest.mark.parametrize(
@@ -115,6 +147,17 @@ def test_exactly_one_of_each_pair(printer: dict[str, Any], said: str) -> None:
         ("margin_px", 0.5),
         ("margin_px", True),
         ("margin_px", 10_001),
+        ("smallest_feature_um", 0),
+        ("smallest_feature_um", [200, 200]),
+        ("smallest_feature_um", [200, 0, 200]),
+        ("bed_mm", 200),
+        ("bed_mm", [200, 200]),
+        ("bed_mm", [200, 200, -1]),
+        ("max_materials", 0),
+        ("max_materials", 2.5),
+        ("min_layers", 0),
+        ("min_layers", "30"),
+        ("format", "grabcab"),
     ],
 )
 def test_values_out_of_range(key: str, value: Any) -> None:
@@ -220,3 +263,121 @@ def test_a_profile_of_another_type_is_not_opened(tmp_path: Path) -> None:
     with pytest.raises(JobError, match=r"no printer profile 'mine\.txt'") as caught:
         load_job(write_job(tmp_path, "mine.txt"), part="p.stl")
     assert ".yaml" in (caught.value.hint or "")
+
+
+# What a machine cannot do
+
+
+def test_more_materials_than_the_printer_has_are_refused() -> None:
+    printer = {"name": "mine", "dpi": 600, "layer_mm": 0.1, "max_materials": 2}
+    job_printer(printer)
+    with pytest.raises(JobError) as caught:
+        load_job({**LEAST, "printer": printer, "materials": ["a", "b", "c"]}, part="p.stl")
+    assert caught.value.message == "job: materials: 3 of them, but mine prints at most 2"
+    assert "amslicer printers" in (caught.value.hint or "")
+    assert caught.value.exit_code == 3
+
+
+def test_the_place_of_too_many_materials_is_said(tmp_path: Path) -> None:
+    file = tmp_path / "fields.yaml"
+    names = [f"m{i}" for i in range(6)]
+    file.write_text(f"printer: stratasys-j55\nfields: {{ratio: 0.3}}\nmaterials: {names}\n", encoding="utf-8")
+    with pytest.raises(JobError, match=r"line 3, column 1: materials: 6 of them, but stratasys-j55 prints at most 5"):
+        load_job(file, part="p.stl")
+
+
+def notes(tmp_path: Path, size_mm: tuple[float, float, float], printer: Any, **settings: Any) -> list[str]:
+    """The notes about a box on the origin."""
+    (tmp_path / "part.stl").write_bytes(meshes.binary_stl(meshes.box(size_mm)))
+    content = {**LEAST, "printer": printer, **settings}
+    return prepare(load_job(content, part=tmp_path / "part.stl")).notes()
+
+
+MACHINE = {"name": "mine", "pitch_um": 100, "layer_um": 100}
+
+
+@pytest.mark.parametrize(
+    ("size_mm", "said"),
+    [
+        ((20, 10, 5), None),
+        ((20.0004, 10, 5), None),  # what would be shown as 20.000 mm fits
+        ((20.2, 4, 5), "the part measures 20.2 × 4 × 5 mm, more than mine prints (20 × 10 × 5 mm)"),
+        ((4, 4, 5.5), "the part measures 4 × 4 × 5.5 mm, more than mine prints (20 × 10 × 5 mm)"),
+        (
+            (8, 15, 5),
+            "the part measures 8 × 15 × 5 mm, more than mine prints (20 × 10 × 5 mm): turned by 90° about z it would "
+            "fit (part.rotate: [0, 0, 90])",
+        ),
+    ],
+)
+def test_a_part_larger_than_the_bed_is_noted(
+    tmp_path: Path, size_mm: tuple[float, float, float], said: str | None
+) -> None:
+    printer = {**MACHINE, "bed_mm": [20, 10, 5]}
+    assert notes(tmp_path, size_mm, printer) == ([] if said is None else [said])
+
+
+def test_the_turn_that_is_advised_makes_the_part_fit(tmp_path: Path) -> None:
+    printer = {**MACHINE, "bed_mm": [20, 10, 5]}
+    (note,) = notes(tmp_path, (8, 5, 15), printer, part={"rotate": [90, 0, 0]})
+    assert "8 × 15 × 5 mm" in note
+    assert "part.rotate: [90, 0, 90]" in note
+    assert notes(tmp_path, (8, 5, 15), printer, part={"rotate": [90, 0, 90]}) == []
+
+
+def test_too_few_layers_are_noted(tmp_path: Path) -> None:
+    printer = {**MACHINE, "min_layers": 30}
+    assert notes(tmp_path, (5, 5, 3.0), printer) == []
+    (note,) = notes(tmp_path, (5, 5, 2.9), printer)
+    assert note == "the part makes 29 layers, fewer than the 30 that mine takes: print it thicker"
+
+
+@pytest.mark.parametrize(
+    ("feature", "ratio", "pattern", "said"),
+    [
+        (290, 0.3, {}, None),
+        (310, 0.3, {}, "300 µm (30 % of a period of 1 mm), thinner than 310 µm, the smallest feature of mine"),
+        (310, 0.8, {}, "200 µm (20 % of a period of 1 mm), thinner than 310 µm"),
+        (310, 0.3, {"period": 2.0}, None),
+        ([200, 200, 400], 0.3, {}, "thinner than 400 µm"),
+        ([200, 200, 400], 0.3, {"dimensions": 2}, None),  # every layer is the same: no sheet lies flat
+        ([400, 200, 200], 0.3, {"dimensions": 2}, "thinner than 400 µm"),
+        (200, 0, {}, None),  # a plain fill has no sheets
+        (200, 1, {}, None),
+        (200, {"gradient": {"axis": "x", "from": 0.15, "to": 0.7}}, {}, "150 µm (15 % of a period of 1 mm)"),
+        (
+            200,
+            {"gradient": {"axis": "x", "from": 0, "to": 0.7}},
+            {"period": 0.8},
+            "nothing where a share nears 0: below 25 % of a period of 0.8 mm they are thinner than 200 µm",
+        ),
+    ],
+)
+def test_sheets_thinner_than_the_smallest_feature_are_noted(
+    tmp_path: Path, feature: Any, ratio: Any, pattern: dict[str, Any], said: str | None
+) -> None:
+    printer = {**MACHINE, "smallest_feature_um": feature}
+    found = notes(tmp_path, (5, 5, 3), printer, fields={"ratio": ratio}, pattern=pattern)
+    assert len(found) == (0 if said is None else 1)
+    assert said is None or said in found[0]
+
+
+def test_a_printers_format_that_is_not_built_is_noted_and_not_refused(tmp_path: Path) -> None:
+    printer = {**MACHINE, "format": "grabcad"}
+    (note,) = notes(tmp_path, (5, 5, 3), printer)
+    assert note.startswith("mine takes grabcad files, which this version does not write yet")
+    assert notes(tmp_path, (5, 5, 3), printer, output={"format": "png"}) == []
+    assert notes(tmp_path, (5, 5, 3), {**MACHINE, "format": "png"}) == []
+
+
+@pytest.mark.parametrize(
+    ("output", "taken"),
+    [({}, "tiff"), ({"output": {"compression": "small"}}, "tiff"), ({"output": {"format": "png"}}, "png")],
+)
+def test_a_printers_format_that_is_built_is_the_default(
+    monkeypatch: pytest.MonkeyPatch, output: dict[str, Any], taken: str
+) -> None:
+    monkeypatch.setitem(WRITERS, "tiff", WRITERS["png"])
+    content = {"printer": {**MACHINE, "format": "tiff"}, **output}
+    _take_printers_format(content)
+    assert content["output"] == {**output.get("output", {}), "format": taken}

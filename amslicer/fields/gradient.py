@@ -89,7 +89,7 @@ class GradientSource(Source):
 
     gradient: Annotated[
         Annotated[LinearGradient, Tag("linear")] | Annotated[RadialGradient, Tag("radial")], Discriminator(_shape)
-    ]
+    ] = Field(description="linear between two places along an axis, or from a centre outwards")
 
     @field_validator("gradient", mode="before")
     @classmethod
