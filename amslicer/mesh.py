@@ -33,6 +33,8 @@ MAX_SIZE_MM = 1e7
 """10 km: a corrupt coordinate more likely than a part."""
 MAX_STEP_MM = 1e-4
 """Coarsest step between coordinates: a hundredth of a fine printer's pixel."""
+MAX_FILE_BYTES = 2 << 30
+"""40 million triangles of binary STL: about what fits in a desktop's memory while it is checked."""
 SNAP = 1e-12
 """Coordinates closer than this times the size are one: CAD writes 0 and -2.7e-16 for the same corner."""
 
@@ -76,14 +78,21 @@ def read_mesh(path: str | os.PathLike[str], units: str | None = None) -> Mesh:
 
 def _read_bytes(path: Path) -> bytes:
     try:
-        kind = path.stat().st_mode
+        found = path.stat()
+        kind = found.st_mode
         if stat.S_ISDIR(kind):
             raise PartError("is a folder, not a mesh file", hint="name the file inside it")
         if not stat.S_ISREG(kind):
             raise PartError("is not a regular file", hint="copy the mesh to a file first")
         if _suffix(path) not in READERS:
             raise PartError(f"unsupported file type '{path.suffix}'", hint=f"use one of {', '.join(READERS)}")
-        data = path.read_bytes()
+        if found.st_size > MAX_FILE_BYTES:
+            raise PartError(
+                f"the file has {found.st_size} bytes; at most {MAX_FILE_BYTES} are read",
+                hint="export it with fewer triangles, or as binary STL",
+            )
+        with path.open("rb") as stream:
+            data = stream.read(MAX_FILE_BYTES)
     except FileNotFoundError:
         raise PartError(f"no such file ({path})", hint="check the path of the part") from None
     except (OSError, ValueError) as error:

@@ -11,6 +11,7 @@ from amslicer.errors import JobError
 
 MAX_BYTES = 1 << 20  # a job file is written by people
 MAX_DEPTH = 32
+MAX_TOKENS = 100_000  # 50 000 numbers in a list: five seconds; a mebibyte of them takes a minute
 
 KeyPath = tuple[str | int, ...]
 Places = dict[KeyPath, tuple[int, int]]
@@ -64,7 +65,7 @@ def parse_yaml(text: str, where: str) -> tuple[dict[str, Any], Places]:
     places: Places = {}
     try:
         _refuse_indirection(text, where)
-        root = YAML(typ="rt", pure=True).compose(text)
+        root = YAML(typ="safe", pure=True).compose(text)
     except MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         at = f", line {mark.line + 1}, column {mark.column + 1}" if mark else ""
@@ -101,11 +102,16 @@ def _refuse_indirection(text: str, where: str) -> None:
     opening = (t.BlockMappingStartToken, t.BlockSequenceStartToken, t.FlowMappingStartToken, t.FlowSequenceStartToken)
     closing = (t.BlockEndToken, t.FlowMappingEndToken, t.FlowSequenceEndToken)
     documents = depth = 0
-    for token in YAML(typ="rt", pure=True).scan(text):
+    for count, token in enumerate(YAML(typ="safe", pure=True).scan(text)):
         documents += isinstance(token, t.DocumentStartToken)
         depth += isinstance(token, opening) - isinstance(token, closing)
         if depth > MAX_DEPTH + 1:
             raise _too_deep(where)
+        if count > MAX_TOKENS:
+            raise JobError(
+                f"{where}, line {token.start_mark.line + 1}: more than {MAX_TOKENS} words and signs up to here",
+                hint="paint what has this much detail as a picture",
+            )
         name = refused.get(type(token)) or ("several documents are" if documents > 1 else None)
         if name:
             mark = token.start_mark
