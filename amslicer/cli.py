@@ -193,6 +193,10 @@ def _slice_options(parser: argparse.ArgumentParser) -> None:
     job.add_argument("--scale", type=float, metavar="F", help="factor on the part's lengths")
     job.add_argument("--units", choices=("mm", "cm", "m", "inch"), help="what one unit of the part's file is")
     job.add_argument(
+        "--allow-open", action="store_true", default=None,
+        help="slice a mesh with holes; pixel rows that pass through them stay empty",
+    )  # fmt: skip
+    job.add_argument(
         "--set", action="append", default=[], metavar="KEY=VALUE", dest="overrides",
         help="any dotted key of the job file, repeatable: --set pattern.period=0.8",
     )  # fmt: skip
@@ -200,6 +204,7 @@ def _slice_options(parser: argparse.ArgumentParser) -> None:
     run.add_argument("--layers", type=_layer_range, metavar="A:B", help="only these layers; half-open, like Python's")
     run.add_argument("--device", metavar="SUBSTRING", help="part of an OpenCL device's name (`amslicer devices`)")
     run.add_argument("--jobs", type=_positive, metavar="N", help="threads, the device's on CPUs included; default: all")
+    run.add_argument("--allow-outside", action="store_true", help="read field files outside the job file's folder")
     run.add_argument("--overwrite", action="store_true", help="replace a stack in OUT; deletes nothing else")
     run.add_argument("--resume", action="store_true", help="not built yet in this version")
     run.add_argument("--dry-run", action="store_true", help="say grid, layers, size and time; write nothing")

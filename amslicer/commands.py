@@ -40,9 +40,9 @@ def slice_command(options: Namespace, check: Callable[[], None]) -> int:
 
     job = _load(options)
     run = Run(options.device, options.jobs, options.layers)
-    if options.dry_run:
-        return _dry_run(job, run, options)
     out = Path(options.out) if options.out else Path(Path(options.part).stem)
+    if options.dry_run:
+        return _dry_run(job, run, out, options)
     from amslicer import report
     from amslicer.stack import slice_job
 
@@ -86,7 +86,7 @@ def _load(options: Namespace) -> Job:
     direct = {
         "printer": printer, "output.format": options.format, "output.compression": options.compression,
         "pattern.evaluate": options.evaluate, "pattern.seed": options.seed, "part.scale": options.scale,
-        "part.units": options.units,
+        "part.units": options.units, "part.allow_open": options.allow_open,
     }  # fmt: skip
     overrides.update({key: value for key, value in direct.items() if value is not None})
     for setting in options.overrides:
@@ -98,17 +98,22 @@ def _load(options: Namespace) -> Job:
         except JobError as error:
             raise UsageError(error.message, hint=error.hint) from None
     try:
-        return load_job(options.fields, options.part, overrides)
+        return load_job(options.fields, options.part, overrides, allow_outside=options.allow_outside)
     except UsageError as error:
         # Users of the command line know --set and --seed, not the overrides that they become.
         raise UsageError(error.message.replace(OVERRIDES, "command line", 1), hint=error.hint) from None
 
 
-def _dry_run(job: Job, run: Run, options: Namespace) -> int:
+def _dry_run(job: Job, run: Run, out: Path, options: Namespace) -> int:
+    from dataclasses import replace
+
     from amslicer import report
     from amslicer.pipeline import estimate
+    from amslicer.storage import space_note
 
     found = estimate(job, run, DRY_RUN_SAMPLES)
+    if note := space_note(out, found.bytes, "the bitmaps will not fit: they take about"):
+        found = replace(found, notes=(*found.notes, note))
     _show(options, vars(found), lambda: report.print_estimate(found))
     return 0
 

@@ -16,6 +16,7 @@ import numpy as np
 from amslicer.device import Device
 from amslicer.errors import JobError, UsageError
 from amslicer.grid import Grid, cover
+from amslicer.holes import find_holes
 from amslicer.layer import Layer
 from amslicer.mask import Slicer, join_runs, make_slicer
 from amslicer.mesh import Mesh, read_mesh
@@ -95,6 +96,8 @@ class Prepared:
         if abs(lifted) >= NOTED_MM:
             was, moved = ("above", "down") if lifted < 0 else ("below", "up")
             notes.append(f"the part was {abs(lifted):.3f} mm {was} the bed: moved {moved} to z = 0")
+        if self.slicer.holes:
+            notes.extend(self.slicer.holes.notes(float(self.placement.origin_mm[2])))
         notes.extend(self._fineness_notes())
         return notes
 
@@ -127,7 +130,7 @@ def prepare(job: Job) -> Prepared:
         JobError: a field cannot be used, or the job is too large.
     """
     spec = job.spec
-    mesh = read_mesh(job.part, spec.part.units)
+    mesh = read_mesh(job.part, spec.part.units, allow_open=spec.part.allow_open)
     _refuse_huge(job, float(mesh.size_mm.max()) * spec.part.scale)
     placement, vertices = place(mesh, scale=spec.part.scale, rotate_deg=spec.part.rotate, on_bed=spec.part.on_bed)
     printer = spec.printer
@@ -138,7 +141,8 @@ def prepare(job: Job) -> Prepared:
     assert isinstance(period, float)
     tiling = choose_tiling(grid, period)
     _refuse_many_kernels(job, make_noise(job), grid, tiling, placement)
-    return Prepared(job, mesh, placement, grid, tiling, make_slicer(vertices, mesh.triangles, grid), painted)
+    slicer = make_slicer(vertices, mesh.triangles, grid, find_holes(mesh.rim, vertices, grid))
+    return Prepared(job, mesh, placement, grid, tiling, slicer, painted)
 
 
 def _refuse_huge(job: Job, side_mm: float) -> None:
