@@ -57,10 +57,11 @@ def _check_counts(header: dict[str, Any], length: int) -> None:
             f"accessor {counts.index(max(counts))} declares {max(counts)} elements, in a file of {length} bytes",
             hint=EXPORT,
         )
-    parents = Counter(child for node in nodes for child in node.get("children", []))
-    twice = [child for child, count in parents.items() if count > 1]
+    scenes = header.get("scenes", [])[header.get("scene", 0) :][:1]
+    listed = Counter(child for parent in (*scenes, *nodes) for child in parent.get("children", parent.get("nodes", [])))
+    twice = [node for node, count in listed.items() if count > 1]
     if twice:
-        raise PartError(f"node {twice[0]} of the scene is a child of {parents[twice[0]]}, glTF allows one", hint=EXPORT)
+        raise PartError(f"node {twice[0]} is listed {listed[twice[0]]} times; glTF allows one parent", hint=EXPORT)
     placed = [node["mesh"] for node in nodes if "mesh" in node]
     corners = [
         sum(counts[part["indices"]] if "indices" in part else counts[part["attributes"]["POSITION"]] for part in parts)
