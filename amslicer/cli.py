@@ -208,6 +208,10 @@ def _job_options(parser: argparse.ArgumentParser) -> argparse._ArgumentGroup:
     job.add_argument("--scale", type=float, metavar="F", help="factor on the part's lengths")
     job.add_argument("--units", choices=("mm", "cm", "m", "inch"), help="what one unit of the part's file is")
     job.add_argument(
+        "--allow-open", action="store_true", default=None,
+        help="slice a mesh with holes; pixel rows that pass through them stay empty",
+    )  # fmt: skip
+    job.add_argument(
         "--set", action="append", default=[], metavar="KEY=VALUE", dest="overrides",
         help="any dotted key of the job file, repeatable: --set pattern.period=0.8",
     )  # fmt: skip
@@ -219,6 +223,7 @@ def _device_options(group: argparse._ArgumentGroup) -> None:
     group.add_argument(
         "--jobs", type=_positive, metavar="N", help="threads, those of CPU devices included; default: all"
     )
+    group.add_argument("--allow-outside", action="store_true", help="read field files outside the job file's folder")
 
 
 def _verify_options(parser: argparse.ArgumentParser) -> None:

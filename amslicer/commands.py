@@ -32,9 +32,9 @@ def slice_command(options: Namespace, check: Callable[[], None]) -> int:
 
     job = _load(options, options.part)
     run = Run(options.device, options.jobs, options.layers)
-    if options.dry_run:
-        return _dry_run(job, run, options)
     out = Path(options.out) if options.out else Path(Path(options.part).stem)
+    if options.dry_run:
+        return _dry_run(job, run, out, options)
     from amslicer import report
     from amslicer.stack import slice_job
 
@@ -93,6 +93,7 @@ def _load(options: Namespace, part: str) -> Job:
         printer = str(Path(printer).absolute())  # of the command line: relative to where it was typed
     direct = {
         "printer": printer, "pattern.seed": options.seed, "part.scale": options.scale, "part.units": options.units,
+        "part.allow_open": options.allow_open,
         "output.format": getattr(options, "format", None), "pattern.evaluate": getattr(options, "evaluate", None),
         "output.compression": getattr(options, "compression", None),
     }  # fmt: skip
@@ -106,17 +107,22 @@ def _load(options: Namespace, part: str) -> Job:
         except JobError as error:
             raise UsageError(error.message, hint=error.hint) from None
     try:
-        return load_job(options.fields, part, overrides)
+        return load_job(options.fields, part, overrides, allow_outside=options.allow_outside)
     except UsageError as error:
         # Users of the command line know --set and --seed, not the overrides that they become.
         raise UsageError(error.message.replace(OVERRIDES, "command line", 1), hint=error.hint) from None
 
 
-def _dry_run(job: Job, run: Run, options: Namespace) -> int:
+def _dry_run(job: Job, run: Run, out: Path, options: Namespace) -> int:
+    from dataclasses import replace
+
     from amslicer import report
     from amslicer.pipeline import estimate
+    from amslicer.storage import space_note
 
     found = estimate(job, run, DRY_RUN_SAMPLES)
+    if note := space_note(out, found.bytes, "the bitmaps will not fit: they take about"):
+        found = replace(found, notes=(*found.notes, note))
     _show(options, vars(found), lambda: report.print_estimate(found))
     return 0
 

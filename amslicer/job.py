@@ -85,6 +85,8 @@ def load_job(
     fields: str | os.PathLike[str] | Mapping[str, Any],
     part: str | os.PathLike[str],
     overrides: Mapping[str, Any] | None = None,
+    *,
+    allow_outside: bool = False,
 ) -> Job:
     """Reads and validates a job file.
 
@@ -92,6 +94,7 @@ def load_job(
         fields: the job file's path, or its content as a mapping (paths are then relative to the current folder).
         part: the mesh file (stl obj ply off glb 3mf); it is read when the job runs.
         overrides: dotted keys of the job file and their values, e.g. {"pattern.period": 0.8}.
+        allow_outside: read field files outside the job file's folder too.
 
     Raises:
         JobError: the file, a key or a value cannot be used; the message says where.
@@ -108,7 +111,7 @@ def load_job(
         content, places = read_yaml(file, "job file")
         origin = Origin(str(file), file.parent, places)
     spec = validate(content, origin, overrides or {})
-    return Job(spec, Path(part), Inputs(origin.folder), origin.name)
+    return Job(spec, Path(part), Inputs(origin.folder, allow_outside=allow_outside), origin.name)
 
 
 def _find_sources(node: Any) -> Iterator[Source]:

@@ -72,7 +72,7 @@ def validate(content: dict[str, Any], origin: Origin, overrides: Mapping[str, An
     content.setdefault("printer", DEFAULT_PRINTER)
     for key, value in overrides.items():
         _override(content, tuple(key.split(".")), value, origin)
-    content["printer"] = _expand_printer(content["printer"], origin.folder)
+    content["printer"] = _expand_printer(content["printer"], origin)
     _take_printers_format(content)
     try:
         spec = JobFile.model_validate(content)
@@ -88,7 +88,7 @@ def _override(content: dict[str, Any], path: tuple[str, ...], value: Any, origin
     origin.overridden.add(path)
     *parents, last = path
     if parents[:1] == ["printer"]:
-        content["printer"] = _expand_printer(content["printer"], origin.folder)
+        content["printer"] = _expand_printer(content["printer"], origin)
     node: Any = content
     for depth, parent in enumerate(parents, 1):
         node = node.setdefault(parent, {})
@@ -108,10 +108,18 @@ def _override(content: dict[str, Any], path: tuple[str, ...], value: Any, origin
     node[last] = value
 
 
-def _expand_printer(printer: Any, folder: Path) -> Any:
+def _expand_printer(printer: Any, origin: Origin) -> Any:
     from amslicer.printers import read_printer
 
-    return read_printer(printer, folder) if isinstance(printer, str) else printer
+    if not isinstance(printer, str):
+        return printer
+    try:
+        return read_printer(printer, origin.folder)
+    except JobError as error:
+        if ("printer",) in origin.overridden or ("printer",) not in origin.places:
+            raise
+        line, column = origin.places["printer",]
+        raise JobError(f"{origin.name}, line {line}, column {column}: {error.message}", hint=error.hint) from error
 
 
 def _take_printers_format(content: dict[str, Any]) -> None:

@@ -60,6 +60,7 @@ def describe_stack(
             "file_bbox_mm": [_floats(mesh.minimum_mm), _floats(mesh.minimum_mm + mesh.size_mm)],
             "transform": placement.transform(),
             "turned_over": mesh.turned,
+            **_holes(prepared),
         },
         "grid": {
             "width_px": grid.width_px,
@@ -84,6 +85,20 @@ def describe_stack(
         "solid_pixels": solid,
         "layers": [vars(record) for record in records],
     }
+
+
+def _holes(prepared: Prepared) -> dict[str, Any]:
+    """How open the mesh is and which rows of the whole part are empty for it, if it is."""
+    holes = prepared.slicer.holes
+    if holes is None:
+        return {}
+    found = holes.count()
+    empty: dict[str, Any] = {"open_edges": len(holes.uses), "empty_rows": found.rows if found else 0}
+    if found:
+        bottom = float(prepared.placement.origin_mm[2])
+        low, high = (bottom + prepared.grid.z_mm(layer) for layer in (found.first_layer, found.last_layer))
+        empty |= {"layers": found.layers, "z_mm": [low, high]}
+    return {"open": empty}
 
 
 def _floats(values: NDArray[np.float64]) -> list[float]:

@@ -22,6 +22,8 @@ from amslicer.grid import Grid, centre_mm, first_centre
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from amslicer.holes import Holes
+
     Floats = NDArray[np.float64]
     Ints = NDArray[np.int64]
 
@@ -64,12 +66,14 @@ class Slicer:
     Attributes:
         corners: (T, 3, 3) triangle corners in the pattern frame, mm.
         first_layer, end_layer: (T,) layers whose planes each triangle can cross (half-open).
+        holes: of a mesh that may be open; rows through them stay empty.
     """
 
     corners: Floats
     first_layer: Ints
     end_layer: Ints
     grid: Grid
+    holes: Holes | None = None
 
     def runs(self, first: int, end: int) -> Runs:
         """The solid pixels of the layers first … end - 1.
@@ -82,6 +86,8 @@ class Slicer:
         start, stop = _segments(self.corners[triangle], layer, grid.layer_mm)
         segment, row, column, sign = _row_crossings(start, stop, grid)
         row += (layer[segment] - first) * grid.rows
+        if self.holes:
+            row, column, sign = _outside(self.holes.spans(first, end), row, column, sign)
         order = np.argsort(row * (grid.columns + 1) + column, kind="stable")
         row, column, winding = row[order], column[order], np.cumsum(sign[order])
         ends = np.flatnonzero(np.append(row[1:] != row[:-1], True)[: len(row)])
@@ -107,16 +113,17 @@ class Slicer:
             )
 
 
-def make_slicer(vertices: Floats, triangles: Ints, grid: Grid) -> Slicer:
+def make_slicer(vertices: Floats, triangles: Ints, grid: Grid, holes: Holes | None = None) -> Slicer:
     """Sorts triangles by the layers that they reach.
 
     Args:
         vertices: (V, 3) pattern frame, mm.
         triangles: (T, 3) vertex indices, outward.
+        holes: of these vertices, where the mesh may be open.
     """
     corners = vertices[triangles]
     layer_of_corner = first_centre(corners[:, :, 2], grid.layer_mm)
-    return Slicer(corners, layer_of_corner.min(axis=1), layer_of_corner.max(axis=1), grid)
+    return Slicer(corners, layer_of_corner.min(axis=1), layer_of_corner.max(axis=1), grid, holes)
 
 
 def join_runs(parts: Sequence[Runs]) -> Runs:
@@ -146,19 +153,35 @@ def _segments(corners: Floats, layer: Ints, layer_mm: float) -> tuple[Floats, Fl
         a_above, b_above = above[:, edge], above[:, (edge + 1) % 3]
         crosses[:, edge] = a_above != b_above
         rises[:, edge] = b_above
-        low = np.where(b_above[:, None], a, b)
-        high = np.where(b_above[:, None], b, a)
-        height = high[:, 2] - low[:, 2]
-        # Where the ends differ by rounding alone, the plane that they straddle may lie beyond both: unclipped, the
-        # crossing would be far outside the part.
-        share = np.clip((plane - low[:, 2]) / np.where(height == 0, 1.0, height), 0.0, 1.0)
-        points[:, edge] = low[:, :2] + share[:, None] * (high[:, :2] - low[:, :2])
+        points[:, edge] = cut_edges(a, b, b_above, plane)
     # An outward triangle is entered from below along one edge and left along another: the segment runs from
     # the edge that falls through the plane to the edge that rises, with the solid on its left.
     row = np.arange(len(corners))
     falling = np.argmax(crosses & ~rises, axis=1)
     rising = np.argmax(crosses & rises, axis=1)
     return points[row, falling], points[row, rising]
+
+
+def cut_edges(a: Floats, b: Floats, b_above: NDArray[np.bool_], plane: Floats) -> Floats:
+    """(N, 2) x and y where edges a-b (N, 3) cross the planes z (N,); b_above: which end lies above."""
+    low = np.where(b_above[:, None], a, b)
+    high = np.where(b_above[:, None], b, a)
+    height = high[:, 2] - low[:, 2]
+    # Where the ends differ by rounding alone, the plane that they straddle may lie beyond both: unclipped, the
+    # crossing would be far outside the part.
+    share = np.clip((plane - low[:, 2]) / np.where(height == 0, 1.0, height), 0.0, 1.0)
+    points: Floats = low[:, :2] + share[:, None] * (high[:, :2] - low[:, :2])
+    return points
+
+
+def _outside(spans: tuple[Ints, Ints], row: Ints, column: Ints, sign: Ints) -> tuple[Ints, Ints, Ints]:
+    """The crossings whose rows are in none of the spans begin … stop - 1."""
+    begin, stop = spans
+    if not len(begin):
+        return row, column, sign
+    span = np.searchsorted(begin, row, side="right") - 1
+    kept = (span < 0) | (row >= stop[span])
+    return row[kept], column[kept], sign[kept]
 
 
 def _row_crossings(start: Floats, stop: Floats, grid: Grid) -> tuple[Ints, Ints, Ints, Ints]:

@@ -17,7 +17,7 @@ import numpy as np
 
 from amslicer.errors import PartError
 from amslicer.meshfiles import READERS, Soup, read_soup
-from amslicer.surface import check_closed, connect, must_turn
+from amslicer.surface import Rim, check_closed, connect, must_turn
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -33,13 +33,15 @@ MAX_SIZE_MM = 1e7
 """10 km: a corrupt coordinate more likely than a part."""
 MAX_STEP_MM = 1e-4
 """Coarsest step between coordinates: a hundredth of a fine printer's pixel."""
+MAX_FILE_BYTES = 2 << 30
+"""40 million triangles of binary STL: about what fits in a desktop's memory while it is checked."""
 SNAP = 1e-12
 """Coordinates closer than this times the size are one: CAD writes 0 and -2.7e-16 for the same corner."""
 
 
 @dataclass(frozen=True)
 class Mesh:
-    """A closed, outward-oriented triangle mesh in mm, relative to its own bounding box minimum."""
+    """An outward-oriented triangle mesh in mm, relative to its bounding box minimum; closed, unless it has a rim."""
 
     file: str  # file name without folder
     sha256: str  # of the file's bytes
@@ -49,6 +51,7 @@ class Mesh:
     volume_mm3: float  # signed volume, > 0; overlaps count twice
     turned: bool  # the whole mesh was inside out
     notes: tuple[str, ...]  # what to tell the user
+    rim: Rim | None = None  # of its holes
 
     @property
     def size_mm(self) -> Floats:
@@ -56,8 +59,11 @@ class Mesh:
         return np.asarray(self.vertices.max(axis=0), dtype=np.float64)
 
 
-def read_mesh(path: str | os.PathLike[str], units: str | None = None) -> Mesh:
+def read_mesh(path: str | os.PathLike[str], units: str | None = None, *, allow_open: bool = False) -> Mesh:
     """The solid in a file of one of the READERS' types; units None is the file's own (3mf), or mm.
+
+    Args:
+        allow_open: take a mesh with holes too.
 
     Raises:
         PartError: the file cannot be read, or its mesh does not bound a solid.
@@ -69,21 +75,28 @@ def read_mesh(path: str | os.PathLike[str], units: str | None = None) -> Mesh:
         data = _read_bytes(path)
         soup = read_soup(data, _suffix(path))
         unit_mm = soup.unit_mm if units is None else UNIT_MM[units]
-        return _complete_solid(soup, path.name, hashlib.sha256(data).hexdigest(), unit_mm)
+        return _complete_solid(soup, path.name, hashlib.sha256(data).hexdigest(), unit_mm, allow_open)
     except PartError as error:
         raise PartError(f"{path.name}: {error.message}", hint=error.hint) from error
 
 
 def _read_bytes(path: Path) -> bytes:
     try:
-        kind = path.stat().st_mode
+        found = path.stat()
+        kind = found.st_mode
         if stat.S_ISDIR(kind):
             raise PartError("is a folder, not a mesh file", hint="name the file inside it")
         if not stat.S_ISREG(kind):
             raise PartError("is not a regular file", hint="copy the mesh to a file first")
         if _suffix(path) not in READERS:
             raise PartError(f"unsupported file type '{path.suffix}'", hint=f"use one of {', '.join(READERS)}")
-        data = path.read_bytes()
+        if found.st_size > MAX_FILE_BYTES:
+            raise PartError(
+                f"the file has {found.st_size} bytes; at most {MAX_FILE_BYTES} are read",
+                hint="export it with fewer triangles, or as binary STL",
+            )
+        with path.open("rb") as stream:
+            data = stream.read(MAX_FILE_BYTES)
     except FileNotFoundError:
         raise PartError(f"no such file ({path})", hint="check the path of the part") from None
     except (OSError, ValueError) as error:
@@ -97,19 +110,19 @@ def _suffix(path: Path) -> str:
     return path.suffix.lower().removeprefix(".")
 
 
-def _complete_solid(soup: Soup, name: str, sha256: str, unit_mm: float) -> Mesh:
+def _complete_solid(soup: Soup, name: str, sha256: str, unit_mm: float, allow_open: bool) -> Mesh:
     """The solid of a soup that lacks nothing; of one that does, its own faults are named as well."""
     if not soup.missing:
-        return _solid(soup, name, sha256, unit_mm)
+        return _solid(soup, name, sha256, unit_mm, allow_open)
     needs = f"needs {soup.missing} (not implemented): its mesh may only stand in for the part"
     try:
-        _solid(soup, name, sha256, unit_mm)
+        _solid(soup, name, sha256, unit_mm, allow_open)
     except PartError as error:
         raise PartError(f"{error.message}; it also {needs}", hint=error.hint) from error
     raise PartError(needs, hint="export the part as a plain mesh (3MF core or STL)")
 
 
-def _solid(soup: Soup, name: str, sha256: str, unit_mm: float) -> Mesh:
+def _solid(soup: Soup, name: str, sha256: str, unit_mm: float, allow_open: bool) -> Mesh:
     soup.check()
     used, corners = np.unique(soup.triangles, return_inverse=True)
     stored, triangles = soup.vertices[used], np.asarray(corners.reshape(-1, 3), dtype=np.int64)
@@ -118,7 +131,7 @@ def _solid(soup: Soup, name: str, sha256: str, unit_mm: float) -> Mesh:
     # Differences first: moving the file's mesh changes no bit of them. Adding 0 makes -0.0 a plain 0.
     vertices = _without_noise((stored - minimum) * unit_mm + 0.0)
     surface = connect(vertices, triangles, minimum * unit_mm)
-    check_closed(surface)
+    check_closed(surface, allow_open=allow_open)
     turned = must_turn(surface)
     notes = ["the whole mesh was inside out and has been turned over"] if turned else []
     return Mesh(
@@ -130,6 +143,7 @@ def _solid(soup: Soup, name: str, sha256: str, unit_mm: float) -> Mesh:
         abs(float(surface.volumes.sum())),
         turned,
         (*notes, *_unit_notes(float(vertices.max()), unit_mm)),
+        surface.rim if len(surface.rim.edges) else None,
     )
 
 

@@ -27,6 +27,7 @@ def notes_of(prepared: Prepared) -> list[str]:
     return [
         *prepared.mesh.notes,
         *bed_notes(prepared.placement.lifted_mm),
+        *(prepared.slicer.holes.notes(float(prepared.placement.origin_mm[2])) if prepared.slicer.holes else ()),
         *size_notes(prepared.placement.size_mm.tolist(), printer.bed_mm, name, spec.part.rotate),
         *layer_notes(grid.layers, printer.min_layers, name),
         *pixel_notes(period_mm, shares, pitch_mm),

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -70,7 +70,7 @@ class View:
 class WindowSlicer(Slicer):
     """Slices what lies in a window and nothing else."""
 
-    window: Window
+    window: Window = field(kw_only=True)
 
     def runs(self, first: int, end: int) -> Runs:
         """As Slicer's, cut off at the window."""
@@ -115,7 +115,7 @@ def view_at(job: Job, pixel_mm: float, *, whole: bool) -> View:
     if whole:
         return View(prepared, Window((0, grid.columns), (0, grid.rows)), whole)
     window = _middle(grid)
-    cut = WindowSlicer(slicer.corners, slicer.first_layer, slicer.end_layer, slicer.grid, window)
+    cut = WindowSlicer(slicer.corners, slicer.first_layer, slicer.end_layer, slicer.grid, slicer.holes, window=window)
     return View(replace(prepared, slicer=cut), window, whole)
 
 

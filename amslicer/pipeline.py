@@ -17,6 +17,7 @@ from amslicer.arrows import refuse_lines, sample_places
 from amslicer.device import Device
 from amslicer.errors import JobError, UsageError
 from amslicer.grid import Grid, cover
+from amslicer.holes import find_holes
 from amslicer.layer import Layer
 from amslicer.mask import Slicer, join_runs, make_slicer
 from amslicer.mesh import Mesh, read_mesh
@@ -105,7 +106,7 @@ def prepare(job: Job) -> Prepared:
         JobError: a field cannot be used, or the job is too large.
     """
     spec = job.spec
-    mesh = read_mesh(job.part, spec.part.units)
+    mesh = read_mesh(job.part, spec.part.units, allow_open=spec.part.allow_open)
     _refuse_huge(job, float(mesh.size_mm.max()) * spec.part.scale)
     placement, vertices = place(mesh, scale=spec.part.scale, rotate_deg=spec.part.rotate, on_bed=spec.part.on_bed)
     printer = spec.printer
@@ -117,7 +118,8 @@ def prepare(job: Job) -> Prepared:
         refuse_lines(painted)
     tiling = choose_tiling(grid, painted.period_bounds_mm[0])
     _refuse_many_kernels(job, make_noise(job, painted), grid, tiling, painted)
-    return Prepared(job, mesh, placement, grid, tiling, make_slicer(vertices, mesh.triangles, grid), painted)
+    slicer = make_slicer(vertices, mesh.triangles, grid, find_holes(mesh.rim, vertices, grid))
+    return Prepared(job, mesh, placement, grid, tiling, slicer, painted)
 
 
 def _refuse_huge(job: Job, side_mm: float) -> None:

@@ -123,6 +123,9 @@ class PartSettings(Model):
         default=(0.0, 0.0, 0.0), description="degrees about the file's x, then y, then z axis"
     )
     on_bed: Flag = Field(default=True, description="move the part's lowest point to z = 0")
+    allow_open: Flag = Field(
+        default=False, description="slice a mesh with holes; pixel rows that pass through them stay empty"
+    )
 
 
 class Material(Model):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import io
+import logging
 import time
 import warnings
 from collections.abc import Iterator, Sequence
@@ -24,7 +25,7 @@ from amslicer.manifest import (
     records_of,
 )
 from amslicer.stackfolder import opened_folder
-from amslicer.storage import MANIFEST, json_bytes, storage_errors, sync_folder, write_atomically
+from amslicer.storage import MANIFEST, json_bytes, space_note, storage_errors, sync_folder, write_atomically
 from amslicer.writers.png import layer_path
 
 if TYPE_CHECKING:
@@ -111,6 +112,7 @@ def slice_job(
     prepared = prepare(job)
     chosen = layer_range(run, prepared.grid.layers)
     prepared.painted.check_ratio(prepared.grid)
+    _warn_of_full_disk(out, prepared, len(chosen))
     with (
         Device(run.device, run.jobs) as device,
         host_threads(run) as pool,
@@ -143,6 +145,14 @@ def slice_job(
         write_atomically(out / MANIFEST, json_bytes(manifest))
         sync_folder(out)
     return _result(out, manifest, prepared, time.monotonic() - started)
+
+
+def _warn_of_full_disk(out: Path, prepared: Prepared, layers: int) -> None:
+    """Only a warning: what the bitmaps deflate to is not known before they are there."""
+    grid = prepared.grid
+    size = layers * len(prepared.job.materials) * grid.height_px * -(-grid.width_px // 8)
+    if note := space_note(out, size, "the bitmaps may not fit: before compression they take"):
+        logging.getLogger(__name__).info("note: %s", note)
 
 
 def _encode(made: Made, prepared: Prepared) -> tuple[LayerRecord, list[tuple[str, bytes]]]:
@@ -198,7 +208,7 @@ def _outcome_notes(manifest: dict[str, Any], prepared: Prepared) -> Iterator[str
             f"{first['name']} is {100 * first['ratio']:.2f} % instead of {100 * first['ratio_asked']:.2f} %, more than "
             f"chance explains (± {100 * allowed:.2f} %): pixels are too coarse for the sheets"
         )
-    if manifest["complete"]:
+    if manifest["complete"] and not prepared.mesh.rim:
         yield from _volume_note(sum(solid) * prepared.grid.voxel_mm3, prepared)
 
 

@@ -6,6 +6,7 @@ import errno
 import fcntl
 import json
 import os
+import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -53,6 +54,18 @@ def write_atomically(path: Path, content: bytes) -> None:
             with suppress(OSError):
                 temporary.unlink(missing_ok=True)
             raise
+
+
+def space_note(out: Path, size: int, what: str) -> str | None:
+    """What to say where a folder's disk has less than `size` bytes free; None where it has, or nobody knows."""
+    place = next((folder for folder in (out, *out.absolute().parents) if folder.is_dir()), out)
+    try:
+        free = shutil.disk_usage(place).free
+    except OSError:
+        return None
+    if size <= free:
+        return None
+    return f"{what} {size / 1e6:,.1f} MB, and the disk of '{place}' has {free / 1e6:,.1f} MB free"
 
 
 @contextmanager

@@ -34,6 +34,15 @@ REPAIR = "repair it (in Blender's 3D Print Toolbox, MeshLab or PrusaSlicer) and 
 
 
 @dataclass(frozen=True)
+class Rim:
+    """The borders of a mesh's holes."""
+
+    edges: Ints  # (E, 2) vertices
+    uses: Ints  # (E,) triangles that run from the first vertex to the second, less those that run back
+    hole: Ints  # (E,) number of the hole: borders that meet are one
+
+
+@dataclass(frozen=True)
 class Surface:
     """A mesh with its edges and bodies found."""
 
@@ -43,8 +52,9 @@ class Surface:
     open_edges: Ints  # (E, 2) vertices of the edges whose directed uses do not cancel
     open_uses: Ints  # (E,) triangles at each of them
     open_body: Ints  # (E,) body of one of these triangles
+    rim: Rim  # the same edges, for whoever slices an open mesh
     body: Ints  # (T,) body that each triangle belongs to
-    volumes: Floats  # (B,) signed volume of each body, mm3
+    volumes: Floats  # (B,) signed volume of each body, mm3; holes count as closed by a cone
     flat: Floats  # (B,) volume below which a body counts as flat, mm3
 
     def describe(self, body: int) -> str:
@@ -62,15 +72,21 @@ class _EdgeUses:
     triangle: Ints  # (U,)
     sign: Ints  # (U,) 1 or -1: the direction in which the triangle runs along the edge
     ends: Ints  # (U, 2) the triangle's vertices there
+    places: Ints  # (U, 2) numbers of their places, the lower first
 
 
 def connect(vertices: Floats, triangles: Ints, minimum_mm: Floats) -> Surface:
     """The surface of (V, 3) vertices, in mm from their minimum, and (T, 3) triangles."""
     uses = _edge_uses(vertices, triangles)
-    unbalanced = np.bincount(uses.edge, weights=uses.sign) != 0
+    net = np.bincount(uses.edge, weights=uses.sign).astype(np.int64)
+    unbalanced = net != 0
     first = np.flatnonzero(np.diff(uses.edge, prepend=-1))[unbalanced]
     body = _bodies(uses, len(triangles))
-    a, b, c = np.moveaxis(vertices[triangles], 1, 0)
+    open_body = body[uses.triangle[first]]
+    corners = vertices[triangles]
+    if first.size:
+        corners = corners - _cone_tips(vertices[uses.ends[first, 0]], open_body, int(body.max()) + 1)[body][:, None]
+    a, b, c = np.moveaxis(corners, 1, 0)
     volumes = np.bincount(body, weights=np.einsum("ij,ij->i", a, np.cross(b, c))) / 6
     areas = np.bincount(body, weights=np.linalg.norm(np.cross(b - a, c - a), axis=1)) / 2
     return Surface(
@@ -79,11 +95,30 @@ def connect(vertices: Floats, triangles: Ints, minimum_mm: Floats) -> Surface:
         minimum_mm,
         open_edges=uses.ends[first],
         open_uses=np.bincount(uses.edge)[unbalanced],
-        open_body=body[uses.triangle[first]],
+        open_body=open_body,
+        rim=Rim(uses.ends[first], net[unbalanced] * uses.sign[first], _holes(uses.places[first])),
         body=body,
         volumes=volumes,
         flat=FLAT * areas * float(vertices.max()),
     )
+
+
+def _cone_tips(points: Floats, body: Ints, count: int) -> Floats:
+    """(count, 3) the middle of each body's open edges, or 0: a cone from there to a flat hole adds no volume."""
+    edges = np.maximum(np.bincount(body, minlength=count), 1)
+    return np.column_stack([np.bincount(body, axis, minlength=count) / edges for axis in points.T])
+
+
+def _holes(places: Ints) -> Ints:
+    """(E,) number of the connected group that each edge between (E, 2) places belongs to."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    used, ends = np.unique(places, return_inverse=True)
+    ends = ends.reshape(-1, 2)
+    links = (np.ones(len(ends), dtype=np.int8), (ends[:, 0], ends[:, 1]))
+    _, group = connected_components(coo_array(links, shape=(len(used), len(used))), directed=False)
+    return np.asarray(group[ends[:, 0]], dtype=np.int64)
 
 
 def _edge_uses(vertices: Floats, triangles: Ints) -> _EdgeUses:
@@ -97,6 +132,7 @@ def _edge_uses(vertices: Floats, triangles: Ints) -> _EdgeUses:
         triangle=whole[order // 3],
         sign=np.where(start < end, 1, -1)[order],
         ends=triangles[whole][:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)[order],
+        places=np.column_stack([np.minimum(start, end), np.maximum(start, end)])[order],
     )
 
 
@@ -133,28 +169,30 @@ def _connected(uses: _EdgeUses, joins: NDArray[np.bool_], count: int) -> Ints:
     return np.asarray(body, dtype=np.int64)
 
 
-def check_closed(surface: Surface) -> None:
+def check_closed(surface: Surface, *, allow_open: bool = False) -> None:
     """Every edge is used as often in one direction as in the other.
 
     Raises:
-        PartError: there are open edges, or a body is partly inside out.
+        PartError: there are open edges (unless they are allowed), or a body is partly inside out.
     """
     count = len(surface.open_edges)
-    if not count:
-        return
-    if (surface.open_uses % 2 == 0).all():
-        bodies = np.unique(surface.open_body)
-        edges = int((surface.open_body == bodies[0]).sum())
+    facing = surface.open_uses % 2 == 0  # two triangles that run along it the same way: no hole
+    if count and (facing.any() if allow_open else facing.all()):
+        bodies = np.unique(surface.open_body[facing])
+        edges = int((surface.open_body[facing] == bodies[0]).sum())
         raise PartError(
             f"{surface.describe(int(bodies[0]))} is partly inside out: {edges} edges where "
             f"neighbouring triangles face opposite sides{_and_more(len(bodies))}",
             hint="make its normals consistent (recalculate outside) and export it again",
         )
+    if not count or allow_open:
+        return
     z = surface.vertices[surface.open_edges, 2] + surface.minimum_mm[2]
     raise PartError(
         f"the mesh is open: {count} open edges between z = {z.min():.6g} and {z.max():.6g} mm (of "
         f"{len(surface.triangles)} triangles)",
-        hint=f"a hole, or a vertex on a neighbour's edge that does not split it (T-junction): {REPAIR}",
+        hint=f"a hole, or a vertex on a neighbour's edge that does not split it (T-junction): {REPAIR}; --allow-open "
+        "leaves the pixel rows that pass through holes empty",
     )
 
 

@@ -111,7 +111,7 @@ class Texture:
         if plane >= self.counts[2]:
             return
         gathered = self._planes.get(plane)
-        self._planes[plane] = counts if gathered is None else gathered + counts  # type: ignore[assignment,operator]
+        self._planes[plane] = counts if gathered is None else gathered + counts  # type: ignore[assignment]
         last_of_plane = layer == (self._grid.layers if self.planar else (plane + 1) * self.thinning[2]) - 1
         edge = int(np.searchsorted(self.edges[2], plane + 1))
         if last_of_plane and self.edges[2][min(edge, len(self.edges[2]) - 1)] == plane + 1:

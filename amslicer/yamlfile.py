@@ -11,6 +11,9 @@ from amslicer.errors import JobError
 
 MAX_BYTES = 1 << 20  # a job file is written by people
 MAX_DEPTH = 32
+MAX_TOKENS = 100_000  # 50 000 numbers in a list: five seconds; a mebibyte of them takes a minute
+EXAMPLE = "`amslicer init` writes an example"
+PLAIN_HINT = "write each value where it is used; a word that starts with such a sign needs quotes"
 
 KeyPath = tuple[str | int, ...]
 Places = dict[KeyPath, tuple[int, int]]
@@ -41,18 +44,22 @@ def read_yaml(file: Path, what: str) -> tuple[dict[str, Any], Places]:
     """
     try:
         if not stat.S_ISREG(file.stat().st_mode):
-            raise JobError(f"the {what} '{file}' is not a regular file")
+            raise JobError(f"the {what} '{file}' is not a regular file", hint="name a YAML file")
         with file.open("rb") as stream:
             content = stream.read(MAX_BYTES + 1)
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
-        raise JobError(f"the {what} '{file}' cannot be read: {reason}") from error
+        hint = "check its path; `amslicer init` writes a job file to start from"
+        raise JobError(f"the {what} '{file}' cannot be read: {reason}", hint=hint) from error
     if len(content) > MAX_BYTES:
-        raise JobError(f"the {what} '{file}' is too long: at most {MAX_BYTES} are read (1 MiB)")
+        raise JobError(
+            f"the {what} '{file}' is too long: at most {MAX_BYTES} bytes are read (1 MiB)",
+            hint="paint what has this much detail as a picture",
+        )
     try:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        raise JobError(f"the {what} '{file}' is not UTF-8 (byte {error.start})") from error
+        raise JobError(f"the {what} '{file}' is not UTF-8 (byte {error.start})", hint="save it as UTF-8") from error
     return parse_yaml(text, f"{what} '{file}'")
 
 
@@ -64,18 +71,18 @@ def parse_yaml(text: str, where: str) -> tuple[dict[str, Any], Places]:
     places: Places = {}
     try:
         _refuse_indirection(text, where)
-        root = YAML(typ="rt", pure=True).compose(text)
+        root = YAML(typ="safe", pure=True).compose(text)
     except MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         at = f", line {mark.line + 1}, column {mark.column + 1}" if mark else ""
         problem = (error.problem or error.context or "not YAML").splitlines()[0]
-        raise JobError(f"{where}{at}: {problem}", hint="`amslicer init` writes an example") from error
+        raise JobError(f"{where}{at}: {problem}", hint=EXAMPLE) from error
     except (YAMLError, ValueError) as error:
-        raise JobError(f"{where}: not YAML: {str(error).splitlines()[0]}") from error
+        raise JobError(f"{where}: not YAML: {str(error).splitlines()[0]}", hint=EXAMPLE) from error
     tree = None if root is None else _plain(root, (), places, where)
     tree = {} if tree is None else tree
     if not isinstance(tree, dict):
-        raise JobError(f"{where}: must be a mapping of keys, but is a {type(tree).__name__}")
+        raise JobError(f"{where}: must be a mapping of keys, but is a {type(tree).__name__}", hint=EXAMPLE)
     return tree, places
 
 
@@ -100,16 +107,26 @@ def _refuse_indirection(text: str, where: str) -> None:
     }
     opening = (t.BlockMappingStartToken, t.BlockSequenceStartToken, t.FlowMappingStartToken, t.FlowSequenceStartToken)
     closing = (t.BlockEndToken, t.FlowMappingEndToken, t.FlowSequenceEndToken)
+    outside = (t.StreamStartToken, t.StreamEndToken, t.DirectiveToken, t.DocumentStartToken, t.DocumentEndToken)
     documents = depth = 0
-    for token in YAML(typ="rt", pure=True).scan(text):
+    for count, token in enumerate(YAML(typ="safe", pure=True).scan(text)):
         documents += isinstance(token, t.DocumentStartToken)
+        if not documents and not isinstance(token, outside):
+            documents = 1  # the first needs no ---
         depth += isinstance(token, opening) - isinstance(token, closing)
         if depth > MAX_DEPTH + 1:
             raise _too_deep(where)
+        if count > MAX_TOKENS:
+            raise JobError(
+                f"{where}, line {token.start_mark.line + 1}: more than {MAX_TOKENS} words and signs up to here",
+                hint="paint what has this much detail as a picture",
+            )
         name = refused.get(type(token)) or ("several documents are" if documents > 1 else None)
         if name:
             mark = token.start_mark
-            raise JobError(f"{where}, line {mark.line + 1}, column {mark.column + 1}: {name} not accepted")
+            raise JobError(
+                f"{where}, line {mark.line + 1}, column {mark.column + 1}: {name} not accepted", hint=PLAIN_HINT
+            )
 
 
 def _plain(node: Any, path: KeyPath, places: Places, where: str) -> Any:
@@ -126,10 +143,13 @@ def _plain(node: Any, path: KeyPath, places: Places, where: str) -> Any:
             if not isinstance(key, str):
                 raise JobError(f"{at}: the key {key!r} is not a word", hint=f'quote it: "{key}"')
             if key == "<<":
-                raise JobError(f"{at}: merge keys (<<) are not accepted")
+                raise JobError(f"{at}: merge keys (<<) are not accepted", hint=PLAIN_HINT)
             if key in tree:
                 first = places[(*path, key)]
-                raise JobError(f"{at}: duplicate key '{key}' (first in line {first[0]}, column {first[1]})")
+                raise JobError(
+                    f"{at}: duplicate key '{key}' (first in line {first[0]}, column {first[1]})",
+                    hint="keep one of the two",
+                )
             places[(*path, key)] = (line, column)
             tree[key] = _plain(value, (*path, key), places, where)
         return tree
@@ -140,7 +160,7 @@ def _plain(node: Any, path: KeyPath, places: Places, where: str) -> Any:
     try:
         return _scalar(node)
     except ValueError as error:  # a number of thousands of digits
-        raise JobError(f"{where}: not YAML: {error}") from None
+        raise JobError(f"{where}: not YAML: {error}", hint=EXAMPLE) from None
 
 
 def _scalar(node: Any) -> Any:
@@ -155,4 +175,4 @@ def _scalar(node: Any) -> Any:
 
 
 def _too_deep(where: str) -> JobError:
-    return JobError(f"{where}: nested deeper than {MAX_DEPTH} levels")
+    return JobError(f"{where}: nested deeper than {MAX_DEPTH} levels", hint=EXAMPLE)

@@ -79,7 +79,7 @@ def test_materials_and_ratio_are_enough() -> None:
             "layer_mm": 0.027,
             "margin_px": 0,
         },
-        "part": {"scale": 1.0, "rotate": [0.0, 0.0, 0.0], "on_bed": True},
+        "part": {"scale": 1.0, "rotate": [0.0, 0.0, 0.0], "on_bed": True, "allow_open": False},
         "materials": [{"name": "rigid", "color": "#2b6cb0"}, {"name": "flexible", "color": "#f6ad55"}],
         "pattern": {
             "noise": "phasor",

@@ -177,7 +177,7 @@ def test_the_pictures_paint_what_the_page_says(
 def test_the_plates_job() -> None:
     assert sample_job("cross_plate").resolved() | {"printer": None} == {
         "printer": None,
-        "part": {"scale": 1.0, "rotate": [0.0, 0.0, 0.0], "on_bed": True},
+        "part": {"scale": 1.0, "rotate": [0.0, 0.0, 0.0], "on_bed": True, "allow_open": False},
         "materials": [
             {"name": "rigid", "color": "#2b6cb0", "density_g_cm3": 1.18},
             {"name": "flexible", "color": "#f6ad55", "density_g_cm3": 1.12},

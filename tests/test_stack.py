@@ -7,6 +7,7 @@ import hashlib
 import json
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import meshes
@@ -262,6 +263,20 @@ def test_a_full_disk_leaves_no_half_file(tmp_path: Path, block: Path, monkeypatc
             Image.open(tmp_path / "out" / name).load()
     amslicer.slice_job(block_job(block), tmp_path / "out", overwrite=True)
     assert amslicer.verify(tmp_path / "out").ok
+
+
+def test_a_disk_that_may_be_too_small_is_noted_before_anything_is_written(
+    tmp_path: Path, block: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Two materials of 10 layers, each 36 + 6 pixels high and 107 + 6 pixels, 15 bytes, wide."""
+    size = 2 * 10 * (36 + 6) * 15
+    for free, noted in ((size, False), (size - 1, True)):
+        caplog.clear()
+        monkeypatch.setattr(storage.shutil, "disk_usage", lambda place, free=free: SimpleNamespace(free=free))
+        with caplog.at_level("INFO", logger="amslicer"):
+            amslicer.slice_job(block_job(block), tmp_path / "new" / f"{free}")
+        assert ("note: the bitmaps may not fit" in caplog.text) == noted
+    assert str(tmp_path) in caplog.text
 
 
 def test_overwrite_deletes_only_the_layers_that_the_manifest_lists(tmp_path: Path, block: Path) -> None:

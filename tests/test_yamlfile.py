@@ -240,7 +240,7 @@ def test_a_byte_order_mark_is_no_part_of_the_first_key(tmp_path: Path) -> None:
         ("a: ä\n".encode("latin-1"), "is not UTF-8 (byte 3)"),
         ("a: 1\n".encode("utf-16"), "is not UTF-8 (byte 0)"),
         (b"a: \xed\xa0\x80\n", "is not UTF-8 (byte 3)"),  # a surrogate
-        (b"# " + b"x" * MAX_BYTES + b"\na: 1\n", "at most 1048576 are read"),
+        (b"# " + b"x" * MAX_BYTES + b"\na: 1\n", "at most 1048576 bytes are read"),
         (b"\x89PNG\r\n\x1a\n", "is not UTF-8 (byte 0)"),
     ],
     ids=["latin-1", "utf-16", "surrogate", "over 1 MiB", "a picture"],

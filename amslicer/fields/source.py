@@ -18,6 +18,9 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
 
+MAX_FILE_BYTES = 1 << 30
+"""1024³ samples of one byte: more detail than a part has, still held in memory."""
+
 Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 
 
@@ -73,35 +76,48 @@ class Inputs:
     """The files that a job's fields name, each read once.
 
     Attributes:
-        folder: the job file's folder; paths are relative to it and may not leave it.
+        folder: the job file's folder; paths are relative to it.
         files: what was read: path as written in the job file, to its bytes.
+        allow_outside: whether paths may leave the folder.
     """
 
     folder: Path
     files: dict[str, bytes] = field(default_factory=dict)
+    allow_outside: bool = False
 
     def read(self, name: str) -> bytes:
         """The bytes of a field file.
 
         Raises:
-            JobError: missing, outside the folder, or not a regular file.
+            JobError: missing, outside the folder, not a regular file, or too large.
         """
         if name not in self.files:
             try:
                 path = (self.folder / name).resolve()
-                if not path.is_relative_to(self.folder.resolve()):
+                if not self.allow_outside and not path.is_relative_to(self.folder.resolve()):
                     raise JobError(
                         f"the field file '{name}' lies outside the job file's folder ({self.folder})",
-                        hint="put field files beside the job file or in a folder below it",
+                        hint="put it beside the job file or in a folder below it, or add --allow-outside",
                     )
-                if not stat.S_ISREG(path.stat().st_mode):
-                    raise JobError(f"the field file '{name}' is not a regular file ({path})")
-                self.files[name] = path.read_bytes()
+                found = path.stat()
+                if not stat.S_ISREG(found.st_mode):
+                    raise JobError(
+                        f"the field file '{name}' is not a regular file ({path})",
+                        hint="name a file: folders, devices and pipes are not read",
+                    )
+                if found.st_size > MAX_FILE_BYTES:
+                    raise JobError(
+                        f"the field file '{name}' has {found.st_size} bytes; at most {MAX_FILE_BYTES} are read",
+                        hint="make it smaller: fields are interpolated between samples",
+                    )
+                with path.open("rb") as stream:
+                    self.files[name] = stream.read(MAX_FILE_BYTES)
             except (OSError, ValueError, RuntimeError) as error:  # also a zero byte, and a link to itself
                 reason = getattr(error, "strerror", None) or error
+                relative = f"paths are relative to the job file's folder ({self.folder})"
                 raise JobError(
                     f"the field file {name!r} cannot be read: {reason}",
-                    hint=f"paths are relative to the job file's folder ({self.folder})",
+                    hint="download it first: only files are read" if "://" in name else relative,
                 ) from error
         return self.files[name]
 

@@ -5,11 +5,13 @@ from __future__ import annotations
 import io
 import json
 import struct
+from collections import Counter
+from typing import Any
 
 import numpy as np
 
 from amslicer.errors import PartError
-from amslicer.meshfiles.soup import Soup, expect, joined, place
+from amslicer.meshfiles.soup import EXPORT, MAX_INSTANCES, MAX_TRIANGLES, Soup, expect, joined, place
 
 _LENGTHS_AT = 8  # behind magic and version: length of the file, length of the first chunk
 _CHUNK_AT = 20  # behind the first chunk's length and type
@@ -20,7 +22,8 @@ def read_glb(data: bytes) -> Soup:
     """Every mesh of the scene, placed by its node; lines and points are left out.
 
     Raises:
-        PartError: the file is cut short, or requires an extension that may change the shape.
+        PartError: the file is cut short, asks for more than it holds or than is read, or requires an extension
+            that may change the shape.
     """
     import trimesh
 
@@ -33,6 +36,7 @@ def read_glb(data: bytes) -> Soup:
             f"needs the glTF extension '{shaping[0]}', which is not implemented",
             hint="export without compression and extensions, or as STL",
         )
+    _check_counts(header, length)
     scene = trimesh.load_scene(io.BytesIO(data), file_type="glb", process=False, skip_materials=True)
     pieces = []
     for node in scene.graph.nodes_geometry:
@@ -42,3 +46,31 @@ def read_glb(data: bytes) -> Soup:
             vertices, triangles = np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces, np.int64)
             pieces.append(place(vertices, triangles, np.asarray(matrix, np.float64).T[:, :3]))
     return joined(pieces)
+
+
+def _check_counts(header: dict[str, Any], length: int) -> None:
+    """What the header declares, before anything is made of it: accessors without data are arrays of zeros."""
+    accessors, meshes, nodes = (header.get(name, []) for name in ("accessors", "meshes", "nodes"))
+    counts = [accessor.get("count", 0) for accessor in accessors]
+    if max(counts, default=0) > length:
+        raise PartError(
+            f"accessor {counts.index(max(counts))} declares {max(counts)} elements, in a file of {length} bytes",
+            hint=EXPORT,
+        )
+    scenes = header.get("scenes", [])[header.get("scene", 0) :][:1]
+    listed = Counter(child for parent in (*scenes, *nodes) for child in parent.get("children", parent.get("nodes", [])))
+    twice = [node for node, count in listed.items() if count > 1]
+    if twice:
+        raise PartError(f"node {twice[0]} is listed {listed[twice[0]]} times; glTF allows one parent", hint=EXPORT)
+    placed = [node["mesh"] for node in nodes if "mesh" in node]
+    corners = [
+        sum(counts[part["indices"]] if "indices" in part else counts[part["attributes"]["POSITION"]] for part in parts)
+        for parts in (mesh["primitives"] for mesh in meshes)
+    ]
+    triangles = sum(corners[mesh] for mesh in placed) // 3
+    if len(placed) > MAX_INSTANCES or triangles > MAX_TRIANGLES:
+        raise PartError(
+            f"{len(placed)} placed meshes with {triangles} triangles in all, more than {MAX_INSTANCES} or "
+            f"{MAX_TRIANGLES}",
+            hint="export fewer copies, or a coarser mesh",
+        )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import re
 
 import numpy as np
@@ -21,7 +22,7 @@ def read_obj(data: bytes) -> Soup:
     Raises:
         PartError: a number cannot be read, a face has fewer than 3 corners or uses a vertex that is not there.
     """
-    text = _CONTINUATION.sub(b" ", data)
+    text = _CONTINUATION.sub(b" ", data.removeprefix(codecs.BOM_UTF8))
     points = _VERTEX.findall(text)
     values = np.fromstring(b" ".join(points).decode(), sep=" ")
     expect(3 * len(points), len(values), "OBJ coordinates")

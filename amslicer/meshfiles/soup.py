@@ -19,6 +19,10 @@ if TYPE_CHECKING:
     Ints = NDArray[np.int64]
 
 EXPORT = "export the part again, as STL for instance"
+MAX_TRIANGLES = 20_000_000
+"""Flattened triangles: about 2 GB while they are checked, what a desktop can spare."""
+MAX_INSTANCES = 20_000
+"""Placed objects and components: readers take a second for them, and some quadratically more beyond."""
 
 
 @dataclass(frozen=True)

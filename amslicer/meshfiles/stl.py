@@ -7,7 +7,7 @@ import re
 from amslicer.meshfiles.soup import Soup, expect, joined, load_raw
 
 _HEADER, _TRIANGLE = 84, 50  # bytes: 80 of text and the count; 12 floats and 2 bytes
-_FACET = re.compile(rb"^\s*facet\b", re.IGNORECASE | re.MULTILINE)
+_FACET = re.compile(rb"^[ \t]*facet\b", re.IGNORECASE | re.MULTILINE)
 
 
 def read_stl(data: bytes) -> Soup:

@@ -12,6 +12,8 @@ from amslicer.meshfiles.threemf_scan import Scan, note_models, note_relations
 
 MAX_PACKAGE_BYTES = 4 << 30
 """Unpacked size of all members: the largest model that is read takes between 1 and 3 GB of XML."""
+FREE_BYTES, MAX_RATIO = 256 << 20, 200
+"""Beyond the first, a package that unpacks to more than the second times itself is a bomb: meshes in XML reach 20."""
 MAX_MEMBERS = 10_000
 """Members of the package: one model part per object is the most that exporters write."""
 CHUNK_BYTES = 1 << 20
@@ -29,7 +31,7 @@ def scan_package(data: bytes) -> Scan:
     """
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
-            _check_members(archive.infolist())
+            _check_members(archive.infolist(), len(data))
             return _scan_members(archive)
     except (
         zipfile.BadZipFile,
@@ -47,13 +49,13 @@ def scan_package(data: bytes) -> Scan:
         ) from error
 
 
-def _check_members(members: list[zipfile.ZipInfo]) -> None:
+def _check_members(members: list[zipfile.ZipInfo], packed: int) -> None:
     hint = "export the part again from the program that made it"
     if len(members) > MAX_MEMBERS:
         raise PartError(f"{len(members)} members in the package, more than {MAX_MEMBERS}", hint=hint)
     total = sum(member.file_size for member in members)
-    if total > MAX_PACKAGE_BYTES:
-        raise PartError(f"unpacks to {total} bytes, more than {MAX_PACKAGE_BYTES}", hint=hint)
+    if total > min(MAX_PACKAGE_BYTES, max(FREE_BYTES, MAX_RATIO * packed)):
+        raise PartError(f"{packed} bytes that unpack to {total}, more than is read", hint=hint)
     seen: set[str] = set()
     for member in members:
         part = _part(member)

@@ -8,11 +8,8 @@ from dataclasses import dataclass, field
 from xml.parsers import expat
 
 from amslicer.errors import PartError
+from amslicer.meshfiles.soup import MAX_INSTANCES, MAX_TRIANGLES
 
-MAX_TRIANGLES = 20_000_000
-"""Flattened triangles: about 2 GB while they are checked, what a desktop can spare."""
-MAX_INSTANCES = 20_000
-"""Placed objects and components: lib3mf takes a second for them, and quadratically more beyond."""
 MAX_DEPTH = 64
 """Components within components: far above any exporter, far below Python's recursion limit."""
 
