@@ -1,0 +1,96 @@
+"""Pixel locking: what sampling does to the ratio of a laminate that is in step with the pixel rows.
+
+The indicator of a material is its ratio plus Σ_h a_h cos(hϕ) (`spread`). Sampled, harmonic h of a laminate with
+(a, b, c) = n_i·pitch_i/p cycles per pixel along x, y and layers cannot be told from one with the fractional parts of
+h·(a, b, c). Where these are all near zero, it is an error of the ratio: at 10 pixels per period along a row,
+harmonics 10, 20 … – a stripe of 2.5 pixels has 2 or 3 pixels everywhere, whichever the phase says. The error is what
+spread's theory says of a harmonic with that frequency: V_h counts how far its phase drifts across the part, and how far
+the noise wanders by itself.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from amslicer.spread import FEW_KERNELS, amplitudes, harmonic_variance
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike, NDArray
+
+    Floats = NDArray[np.float64]
+
+# |a_h| <= 2/(πh): the harmonic that a period of 100 pixels would lock is 0.6 % of the part; longer ones do not count.
+LOCKING_HARMONICS = 100
+# Standard deviations; or all locked harmonics at their worst together, where that is less.
+PLAUSIBLE = 3.0
+# A part smaller than an envelope shows one laminate, whose own wave is off the painted one: by b/(2√π) per axis, the
+# standard deviation of the noise's spectrum, or as much as one half cycle across the part does where that is less. The
+# worst part is one whose wave is off by two of these, towards being locked.
+WAVE_OFF, CYCLES_OFF = 0.56, 0.5
+
+
+def locking_error(
+    cumulative: ArrayLike, *, profile: str, cycles_per_pixel: ArrayLike, extents_px: ArrayLike,
+    width_per_pixel: ArrayLike,
+) -> Floats:  # fmt: skip
+    """The worst plausible error of each material's ratio over a part from pixel locking.
+
+    Args:
+        cumulative: (M - 1,) cumulative ratios c1 … c(M-1) of M materials, each 0…1.
+        profile: symmetric (= pwm) or cyclic.
+        cycles_per_pixel: (2,) for a pattern that is the same in every layer, else (3,): n_i·pitch_i/p.
+        extents_px: (2,) or (3,) pixels (and layers) across the part's bounding box; a part that fills it badly locks
+            more.
+        width_per_pixel: B·pitch_i/p, the envelope's width b in pixels: one number, or one per axis.
+
+    Returns:
+        (M,) errors, all positive.
+    """
+    ends = np.concatenate([[0.0], np.asarray(cumulative, np.float64).reshape(-1), [1.0]])
+    extents = np.asarray(extents_px, np.float64)
+    off = np.minimum(WAVE_OFF * np.asarray(width_per_pixel, np.float64), CYCLES_OFF / extents)
+    cycles = np.asarray(cycles_per_pixel, np.float64)
+    amplitude, variance = _locked(ends[:-1], ends[1:], profile, cycles, extents, width_per_pixel, off)
+    plausible = PLAUSIBLE * np.sqrt(np.sum(amplitude**2 / 2 * variance, axis=-1))
+    return np.asarray(np.minimum(plausible, np.sum(np.abs(amplitude) * np.sqrt(variance), axis=-1)))
+
+
+def locked_deviation(
+    low: ArrayLike, high: ArrayLike, *, profile: str, cycles_per_pixel: ArrayLike, extents_px: ArrayLike,
+    width_per_pixel: ArrayLike,
+) -> Floats:  # fmt: skip
+    """Standard deviation that point-sampling by pixels adds to a material's share of box windows, in step or not.
+
+    With share_deviation, σ = √(share² + locked²), it is within 0.86 to 1.12 of what was measured for ratios of 0.05
+    to 0.5 in windows of 2 to 10 periods at 0°, 10°, 27° and 45°, where it alone is up to three times share_deviation.
+
+    Args:
+        low, high: the material's cumulative ratios c(m-1) and c(m); all arrays broadcast.
+        cycles_per_pixel, extents_px: (..., 2) or (..., 3), as in locking_error, of the windows.
+        profile, width_per_pixel: as in locking_error.
+    """
+    cycles = np.asarray(cycles_per_pixel, np.float64)
+    amplitude, variance = _locked(low, high, profile, cycles, extents_px, width_per_pixel, 0.0)
+    return np.asarray(np.sqrt(np.sum(amplitude**2 / 2 * variance, axis=-1)))
+
+
+def _locked(
+    low: ArrayLike, high: ArrayLike, profile: str, cycles: Floats, extents_px: ArrayLike, width: ArrayLike,
+    off: Floats | float,
+) -> tuple[Floats, Floats]:  # fmt: skip
+    """(..., LOCKING_HARMONICS) a_h and V_h of the harmonics that sampling moves; V_h = 0 for the others.
+
+    Args:
+        off: how much nearer to zero the moved frequency may be, per harmonic, in cycles per pixel.
+    """
+    variance = []
+    for h in range(1, LOCKING_HARMONICS + 1):
+        moved = np.rint(h * cycles)
+        aliased = np.any(moved != 0, axis=-1)
+        seen = np.maximum(np.abs(h * cycles - moved) - h * np.asarray(off), 0.0)
+        v = harmonic_variance(h, extents_px, seen, width) if np.any(aliased) else 0.0
+        variance.append(np.where(aliased, FEW_KERNELS**2 * np.asarray(v), 0.0))
+    amplitude = amplitudes(low, high, profile, LOCKING_HARMONICS)
+    return amplitude, np.minimum(np.stack(variance, axis=-1), 1.0)
