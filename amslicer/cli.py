@@ -227,9 +227,11 @@ def _device_options(group: argparse._ArgumentGroup) -> None:
 
 
 def _verify_options(parser: argparse.ArgumentParser) -> None:
-    """Checks a written stack: files, hashes, sizes, counts, partition, and ratios against the painted fields."""
+    """Checks a written stack: files, hashes, sizes, counts, partition and volume; then the ratio in windows, direction,
+    period and isotropy of the laminate against the painted fields. Exit code 7 when something is wrong."""
     parser.add_argument("out", metavar="OUT", help="folder of the stack")
     parser.add_argument("--fields", metavar="FIELDS.yaml", help="compare with these fields instead of the stack's own")
+    parser.add_argument("--maps", metavar="FILE", help="PNG file: maps of the local errors, seen from above")
     parser.add_argument("--report", metavar="FILE", help="not built yet in this version")
     parser.add_argument("--jobs", type=_positive, metavar="N", help="threads; default: all")
     _output_options(parser)

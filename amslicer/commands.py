@@ -136,26 +136,36 @@ def verify_command(options: Namespace, check: Callable[[], None]) -> int:
 
     with report.progress_bar("verifying", "layers", quiet=options.quiet) as show:
         found = verify_stack(options.out, options.fields, jobs=options.jobs, progress=_checked(show, check))
+    if options.maps:
+        from amslicer.errormaps import error_maps
+        from amslicer.stack import open_stack
+
+        _save_picture(error_maps(found, open_stack(options.out).grid), Path(options.maps))
     _show(options, found.as_dict(), lambda: report.print_report(found))
     return 0 if found.ok else CheckFailed.exit_code
 
 
 def preview_command(options: Namespace, check: Callable[[], None]) -> int:
     """amslicer preview PART|OUT"""
-    import io
-
     from amslicer.meshfiles import READERS
-    from amslicer.storage import write_atomically
 
     what = Path(options.what)
     of_part = what.is_file() or (not what.is_dir() and what.suffix.lower().removeprefix(".") in READERS)
     picture, file = _part_picture(options) if of_part else _stack_picture(options)
-    stream = io.BytesIO()
-    picture.save(stream, "PNG")
-    write_atomically(file, stream.getvalue())
+    _save_picture(picture, file)
     if not options.quiet:
         print(file)
     return 0
+
+
+def _save_picture(picture: Image, file: Path) -> None:
+    import io
+
+    from amslicer.storage import write_atomically
+
+    stream = io.BytesIO()
+    picture.save(stream, "PNG")
+    write_atomically(file, stream.getvalue())
 
 
 def _part_picture(options: Namespace) -> tuple[Image, Path]:

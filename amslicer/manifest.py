@@ -33,13 +33,21 @@ class LayerRecord:
 
 
 def describe_stack(
-    prepared: Prepared, records: list[LayerRecord], asked: list[float], *, device: str, digest: str, version: str
+    prepared: Prepared,
+    records: list[LayerRecord],
+    asked: list[float],
+    overlap_px: int,
+    *,
+    device: str,
+    digest: str,
+    version: str,
 ) -> dict[str, Any]:
     """The manifest of a finished stack.
 
     Args:
         records: the written layers, in order.
         asked: per material, the sum of its painted share over the solid pixels.
+        overlap_px: pixels that overlapping bodies have in common, those of three of them twice.
     """
     grid, placement, mesh = prepared.grid, prepared.placement, prepared.mesh
     materials = prepared.job.spec.materials
@@ -60,6 +68,9 @@ def describe_stack(
             "file_bbox_mm": [_floats(mesh.minimum_mm), _floats(mesh.minimum_mm + mesh.size_mm)],
             "transform": placement.transform(),
             "turned_over": mesh.turned,
+            "volume_mm3": mesh.volume_mm3 * placement.scale**3,
+            "surface_mm2": _surface_mm2(prepared),
+            "overlap_mm3": overlap_px * grid.voxel_mm3,
             **_holes(prepared),
         },
         "grid": {
@@ -99,6 +110,12 @@ def _holes(prepared: Prepared) -> dict[str, Any]:
         low, high = (bottom + prepared.grid.z_mm(layer) for layer in (found.first_layer, found.last_layer))
         empty |= {"layers": found.layers, "z_mm": [low, high]}
     return {"open": empty}
+
+
+def _surface_mm2(prepared: Prepared) -> float:
+    corners = prepared.slicer.corners
+    sides = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    return float(np.linalg.norm(sides, axis=1).sum()) / 2
 
 
 def _floats(values: NDArray[np.float64]) -> list[float]:

@@ -36,6 +36,8 @@ class Runs:
         layers: how many layers; the first is number 0 here.
         row: (N,) layer number × grid rows + row (0 = lowest y).
         start, stop: (N,) columns.
+        overlap_px: (layers,) what bodies that overlap have in common: winding numbers above 1, summed over the pixels;
+            None where it was not counted.
     """
 
     layers: int
@@ -43,6 +45,7 @@ class Runs:
     row: Ints
     start: Ints
     stop: Ints
+    overlap_px: Ints | None = None
 
     @property
     def pixels(self) -> Ints:
@@ -93,7 +96,9 @@ class Slicer:
         ends = np.flatnonzero(np.append(row[1:] != row[:-1], True)[: len(row)])
         self._refuse_leaks(row[ends[np.diff(winding[ends], prepend=0) != 0]], first)
         inside = np.flatnonzero((winding > 0)[:-1] & (column[1:] > column[:-1]))
-        return Runs(end - first, grid, row[inside], column[inside], column[inside + 1])
+        more = (winding[inside] - 1) * (column[inside + 1] - column[inside])
+        overlap = np.bincount(row[inside] // grid.rows, more, minlength=end - first).astype(np.int64)
+        return Runs(end - first, grid, row[inside], column[inside], column[inside + 1], overlap)
 
     def _crossings(self, first: int, end: int) -> tuple[Ints, Ints]:
         """Every (triangle, layer) pair of the layers first … end - 1 where the one crosses the other."""
@@ -131,7 +136,8 @@ def join_runs(parts: Sequence[Runs]) -> Runs:
     layers = np.cumsum([0] + [part.layers for part in parts])
     rows = [part.row + before * part.grid.rows for part, before in zip(parts, layers[:-1], strict=True)]
     start, stop = (np.concatenate([getattr(part, name) for part in parts]) for name in ("start", "stop"))
-    return Runs(int(layers[-1]), parts[0].grid, np.concatenate(rows), start, stop)
+    overlaps = [np.zeros(part.layers, np.int64) if part.overlap_px is None else part.overlap_px for part in parts]
+    return Runs(int(layers[-1]), parts[0].grid, np.concatenate(rows), start, stop, np.concatenate(overlaps))
 
 
 def expand(item: Ints, first: Ints, count: Ints) -> tuple[Ints, Ints]:

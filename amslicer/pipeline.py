@@ -241,10 +241,12 @@ class Made:
     Attributes:
         layer: labels.
         asked: per material, the sum of its painted share over the solid pixels: how many pixels are asked.
+        overlap_px: pixels that overlapping bodies have in common.
     """
 
     layer: Layer
     asked: list[float]
+    overlap_px: int
 
 
 def make_layers(
@@ -259,7 +261,8 @@ def make_layers(
         runs = join_runs(list(parts))
         asked = pattern.asked(runs, first)
         labels = pattern.labels(runs, first)
-        yield [Made(_layer(prepared, first + i, layer), asked[i]) for i, layer in enumerate(labels)]
+        overlap = [0] * runs.layers if runs.overlap_px is None else runs.overlap_px.tolist()
+        yield [Made(_layer(prepared, first + i, layer), asked[i], overlap[i]) for i, layer in enumerate(labels)]
 
 
 def batches(chosen: range, grid: Grid, tiling: Tiling, graded: int) -> Iterator[tuple[int, int]]:

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from amslicer.job import Job
     from amslicer.pipeline import Made, Prepared, Progress, Run
 
-# Beyond what half a pixel all over the surface explains.
+# Of the part's volume: overlaps below are what touching bodies have by rounding.
 VOLUME_SHARE = 0.01
 
 
@@ -121,6 +121,7 @@ def slice_job(
         pattern = prepared.pattern(device)
         records: list[LayerRecord] = []
         asked = np.zeros(len(job.materials))
+        overlap_px = 0
         with ThreadPoolExecutor(1) as disk:  # waits for the disk while the next batch is computed
             written: Future[None] | None = None
             for batch in make_layers(prepared, pattern, pool, chosen, run.threads):
@@ -132,13 +133,14 @@ def slice_job(
                 written = disk.submit(_write, out, [files for _, files in encoded])
                 records.extend(record for record, _ in encoded)
                 asked += np.sum([made.asked for made in batch], axis=0)
+                overlap_px += sum(made.overlap_px for made in batch)
             if written:
                 written.result()
         if progress:
             progress(len(records), len(chosen))
         digest = job.digest(prepared.mesh.sha256, device.label, __version__)
         manifest = describe_stack(
-            prepared, records, asked.tolist(), device=device.label, digest=digest, version=__version__
+            prepared, records, asked.tolist(), overlap_px, device=device.label, digest=digest, version=__version__
         )
         for name in job.materials:
             sync_folder(out / name)
@@ -209,20 +211,14 @@ def _outcome_notes(manifest: dict[str, Any], prepared: Prepared) -> Iterator[str
             f"chance explains (± {100 * allowed:.2f} %): pixels are too coarse for the sheets"
         )
     if manifest["complete"] and not prepared.mesh.rim:
-        yield from _volume_note(sum(solid) * prepared.grid.voxel_mm3, prepared)
+        yield from _volume_note(sum(solid) * prepared.grid.voxel_mm3, manifest["part"])
 
 
-def _volume_note(volume_mm3: float, prepared: Prepared) -> Iterator[str]:
-    """The stack's volume against the mesh's, beyond what sampling its surface can explain."""
-    corners = prepared.slicer.corners
-    sides = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    surface_mm2 = float(np.linalg.norm(sides, axis=1).sum()) / 2
-    expected = prepared.mesh.volume_mm3 * prepared.placement.scale**3
-    coarsest = max(*prepared.grid.pitch_mm, prepared.grid.layer_mm)
-    if abs(volume_mm3 - expected) > VOLUME_SHARE * expected + surface_mm2 * coarsest / 2:
+def _volume_note(volume_mm3: float, part: dict[str, Any]) -> Iterator[str]:
+    if part["overlap_mm3"] > VOLUME_SHARE * part["volume_mm3"]:
         yield (
-            f"the stack holds {volume_mm3:.4g} mm³ and the mesh's bodies together {expected:.4g} mm³: overlapping "
-            "bodies count once in a stack"
+            f"the stack holds {volume_mm3:.4g} mm³ and the mesh's bodies together {part['volume_mm3']:.4g} mm³: "
+            "overlapping bodies count once in a stack"
         )
 
 

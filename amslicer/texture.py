@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
 
 BLOCK_PERIODS = 7.0  # side of a block: enough for a direction and a period, few enough to follow what is painted
-SAMPLES_PER_PERIOD = 8.0  # of the thinned stack; its lines lie below 1.6/p
-BAND = (0.5, 1.6)  # of 1/p: where the lines' power is looked for
+SAMPLES_PER_PERIOD = 8.0  # of the thinned stack; its lines lie below 1.4/p
+BAND = (0.6, 1.4)  # of 1/p: where the lines' power is looked for
 FILLED = 0.4  # blocks with less of the part in them say too little
 MIN_SHEET_PX = 2.0  # thinner sheets are seen as dots
 MIN_CONTRAST = 0.03  # variance of the levels: a fifteenth of that of two equal materials
@@ -82,7 +82,8 @@ class Texture:
         self.counts = counts
         # Edges of the blocks, in thinned samples, along x, y, z.
         self.edges = [np.rint(np.linspace(0, n, b + 1)).astype(int) for n, b in zip(counts, blocks, strict=True)]
-        self._planes: dict[int, tuple[Floats, NDArray[np.int64]]] = {}
+        self._planes: dict[int, NDArray[np.float32]] = {}
+        self._added = 0
 
     @property
     def usable(self) -> bool:
@@ -90,20 +91,17 @@ class Texture:
         period = self._painted.period_bounds_mm[0]
         return bool(np.all(self.counts > 0) and np.all(self.step_mm[: 2 if self.planar else 3] * 3 <= period))
 
-    def thin(self, labels: NDArray[np.uint8]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Per material, its pixels in each thinned sample of a layer.
+    def thin(self, labels: NDArray[np.uint8]) -> NDArray[np.float32]:
+        """(materials, y, x) pixels of each material in each thinned sample of a layer.
 
         Args:
             labels: (rows, columns), row 0 = lowest y, without margin.
-
-        Returns:
-            (materials, y, x) counts.
         """
         tx, ty = self.thinning[:2]
         nx, ny = self.counts[:2]
         cut = labels[: ny * ty, : nx * tx].reshape(ny, ty, nx, tx)
         counts = [np.count_nonzero(cut == m, axis=(1, 3)) for m in range(1, len(self._painted.materials) + 1)]
-        return np.stack(counts).astype(np.float32), np.zeros(0, np.float32)
+        return np.stack(counts).astype(np.float32)
 
     def add(self, layer: int, counts: NDArray[np.float32]) -> Iterator[Shown]:
         """Takes the next layer's counts; yields the blocks that are complete with it."""
@@ -111,14 +109,23 @@ class Texture:
         if plane >= self.counts[2]:
             return
         gathered = self._planes.get(plane)
-        self._planes[plane] = counts if gathered is None else gathered + counts  # type: ignore[assignment]
-        last_of_plane = layer == (self._grid.layers if self.planar else (plane + 1) * self.thinning[2]) - 1
+        self._planes[plane] = counts if gathered is None else gathered + counts
+        if self.planar:
+            self._added += 1
+            return
+        last_of_plane = layer == (plane + 1) * self.thinning[2] - 1
         edge = int(np.searchsorted(self.edges[2], plane + 1))
         if last_of_plane and self.edges[2][min(edge, len(self.edges[2]) - 1)] == plane + 1:
             low = int(self.edges[2][edge - 1])
-            planes = [self._planes.pop(number, None) for number in range(low, plane + 1)]
-            if all(p is not None for p in planes):
-                yield from self._blocks(np.stack(planes, axis=1), low)  # type: ignore[arg-type]
+            planes = [self._planes.pop(number) for number in range(low, plane + 1) if number in self._planes]
+            if len(planes) == plane + 1 - low:  # else layers of the stack are missing
+                yield from self._blocks(np.stack(planes, axis=1), low)
+
+    def finish(self) -> Iterator[Shown]:
+        """Yields the blocks of a planar pattern, whose layers all show the same."""
+        if self.planar and self._planes:
+            self.thinning[2] = self._added
+            yield from self._blocks(self._planes.pop(0)[:, None], 0)
 
     def _blocks(self, counts: NDArray[np.float32], low: int) -> Iterator[Shown]:
         """Measures the blocks of (materials, z, y, x) counts, z from the thinned plane `low` on."""
@@ -200,12 +207,12 @@ def _taper(shape: tuple[int, ...]) -> Floats:
 
 
 def _power(values: Floats, step_mm: Floats, planar: bool) -> tuple[Floats, Floats]:
-    """(F, 3) frequencies x, y, z in 1/mm and (F,) power of (z, y, x) values."""
+    """(F, 3) frequencies x, y, z in 1/mm and (F,) power of (z, y, x) values; one of f and -f, which are equal."""
     axes = (1, 2) if planar else (0, 1, 2)
-    shape = [n if a not in axes else 1 << (2 * n - 1).bit_length() for a, n in enumerate(values.shape)]
-    power = np.abs(np.fft.fftn(values, [shape[a] for a in axes], axes)) ** 2
-    along = [np.fft.fftfreq(n, step) if n > 1 else np.zeros(1) for n, step in zip(shape, step_mm[::-1], strict=True)]
-    z, y, x = np.meshgrid(*along, indexing="ij")
+    power = np.abs(np.fft.rfftn(values, axes=axes)) ** 2
+    nz, ny, nx = values.shape
+    along = [np.zeros(1) if planar else np.fft.fftfreq(nz, step_mm[2]), np.fft.fftfreq(ny, step_mm[1])]
+    z, y, x = np.meshgrid(*along, np.fft.rfftfreq(nx, step_mm[0]), indexing="ij")
     return np.stack([x, y, z], axis=-1).reshape(-1, 3), power.reshape(-1)
 
 

@@ -13,10 +13,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from amslicer.errors import AmslicerError, JobError, StorageError
+from amslicer.judgement import direction_problems, isotropy_problems, period_problems, ratio_problems
 from amslicer.manifest import LayerRecord, placement_of
 from amslicer.painted import Painted, open_fields
-from amslicer.stack import Stack, decode_bitmap
+from amslicer.profile import PROFILES
+from amslicer.stack import VOLUME_SHARE, Stack, decode_bitmap
 from amslicer.storage import JOB_FILE, storage_errors
+from amslicer.texture import Shown, Texture
+from amslicer.windows import Level, RatioWindows
 from amslicer.writers.png import layer_path
 
 if TYPE_CHECKING:
@@ -27,6 +31,8 @@ if TYPE_CHECKING:
     from amslicer.grid import Grid
     from amslicer.job import Job
     from amslicer.pipeline import Progress
+
+    Floats = NDArray[np.float64]
 
 # Spread of the ratio over an area of A periods² of a plane cut: 0.075 B sin(πρ)/√A, measured for unaligned
 # phasor noise of bandwidth B; four of them, and what faces parallel to the sheets cut off, ρ(1-ρ)/N for N
@@ -79,13 +85,20 @@ class Check:
 
 @dataclass(frozen=True)
 class Report:
-    """Everything that was checked."""
+    """Everything that was checked.
+
+    Attributes:
+        windows: ratios in windows, the smallest first.
+        shown: direction, period and isotropy of blocks.
+    """
 
     out: Path
     layers: int
     solid_pixels: int
     checks: tuple[Check, ...]
     materials: dict[str, MaterialReport]
+    windows: tuple[Level, ...] = ()
+    shown: tuple[Shown, ...] = ()
 
     @property
     def ok(self) -> bool:
@@ -107,7 +120,21 @@ class Report:
                 }
                 for name, m in self.materials.items()
             },
+            "windows": [
+                {
+                    "sizes": list(level.counts), "windows": len(level.got), "worst_z": float(np.abs(level.z).max()),
+                    "worst_error": float(np.abs(level.got - level.asked).max()),
+                }
+                for level in self.windows
+            ],
+            "blocks": len(self.shown),
+            "direction_error_deg": _mean([s.angle_deg for s in self.shown]),
+            "period_ratio": _mean([1 / s.frequency for s in self.shown]),
         }  # fmt: skip
+
+
+def _mean(values: list[float]) -> float | None:
+    return float(np.mean(values)) if values else None
 
 
 @dataclass
@@ -130,17 +157,24 @@ class _LayerCheck:
     pixels: list[int]
     asked: list[float]
     problems: list[tuple[str, str]]
+    in_windows: tuple[Floats, Floats]
+    thinned: NDArray[np.float32] | None
 
 
-FILES, HASHES, SIZES, PARTITION, COUNTS, RATIO = (
+FILES, HASHES, SIZES, PARTITION, COUNTS, VOLUME, RATIO, WINDOWS, DIRECTION, PERIOD, ISOTROPY = (
     "files: every layer and material is there",
     "hashes: no file was altered since it was written",
     "sizes: every bitmap has the grid's size",
     "partition: no pixel belongs to two materials",
     "counts: pixels are as the manifest says",
+    "volume: as many pixels are solid as the part's mesh has volume",
     "ratio: each material's share is as painted",
+    "windows: so it is in every part of the stack",
+    "direction: sheets turn as painted",
+    "period: sheets are as far apart as painted",
+    "isotropy: directions spread as painted",
 )
-LAWS = (FILES, HASHES, SIZES, PARTITION, COUNTS, RATIO)
+LAWS = (FILES, HASHES, SIZES, PARTITION, COUNTS, VOLUME, RATIO, WINDOWS, DIRECTION, PERIOD, ISOTROPY)
 
 
 def verify_stack(
@@ -171,15 +205,27 @@ def verify_stack(
     for problem in _missing_layers(stack):
         findings.add(FILES, problem)
     totals, asked = [0] * len(stack.materials), [0.0] * len(stack.materials)
+    windows = RatioWindows(painted, stack.grid)
+    pattern = job.spec.pattern
+    cyclic = PROFILES[pattern.profile].cyclic
+    texture = Texture(painted, stack.grid, pattern.bandwidth, cyclic=cyclic)
+    shown: list[Shown] = []
     with ThreadPoolExecutor(Run(jobs=jobs).threads) as pool:
-        ratio = _Ratio(stack, painted)
-        for done, result in enumerate(pool.map(lambda r: _check_layer(stack, r, ratio), stack.records), 1):
+        look = _LayerLook(stack, painted, windows, texture if texture.usable else None)
+        for done, (record, result) in enumerate(
+            zip(stack.records, pool.map(look.check, stack.records), strict=True), 1
+        ):
             totals = [a + b for a, b in zip(totals, result.pixels, strict=True)]
             asked = [a + b for a, b in zip(asked, result.asked, strict=True)]
+            windows.add(record.index, *result.in_windows)
+            if result.thinned is not None:
+                shown.extend(texture.add(record.index, result.thinned))
             for law, problem in result.problems:
                 findings.add(law, problem)
             if progress:
                 progress(done, len(stack.records))
+    shown.extend(texture.finish())
+    levels = list(windows.levels(pattern.bandwidth, pattern.profile))
     materials = _material_reports(stack, job, painted, totals, asked)
     for m in materials.values():
         if not m.ok:
@@ -189,8 +235,17 @@ def verify_stack(
                 f"(error {m.error:+.4f}, allowed ± {m.tolerance:.4f})",
             )
     _check_totals(stack, totals, findings)
+    for law, problems in (
+        (VOLUME, _volume_problems(stack, sum(totals))),
+        (WINDOWS, ratio_problems(levels, stack.materials, painted.placement.origin_mm)),
+        (DIRECTION, direction_problems(shown)),
+        (PERIOD, period_problems(shown)),
+        (ISOTROPY, isotropy_problems(shown)),
+    ):
+        for problem in problems:
+            findings.add(law, problem)
     checks = tuple(findings.check(law) for law in LAWS)
-    return Report(stack.folder, len(stack.records), sum(totals), checks, materials)
+    return Report(stack.folder, len(stack.records), sum(totals), checks, materials, tuple(levels), tuple(shown))
 
 
 def _job_of(stack: Stack, fields: str | os.PathLike[str] | None) -> Job:
@@ -219,57 +274,73 @@ def _missing_layers(stack: Stack) -> Iterator[str]:
         yield f"the manifest calls the stack complete, but lists no layer {missing[0]} ({len(missing)} missing)"
 
 
-class _Ratio:
-    """The painted ratio at a layer's pixels, margin included; kept where all layers share it."""
+class _LayerLook:
+    """What is looked at of each layer, in any order and thread."""
 
-    def __init__(self, stack: Stack, painted: Painted) -> None:
-        self._grid, self._painted = stack.grid, painted
-        self._shared = None if painted.ratio_depends_on_z else self._map(0)
+    def __init__(self, stack: Stack, painted: Painted, windows: RatioWindows, texture: Texture | None) -> None:
+        self._stack, self._painted, self._windows, self._texture = stack, painted, windows, texture
+        self._shared = None if painted.ratio_depends_on_z else painted.ratio_map(stack.grid, 0)
 
-    def at(self, layer: int) -> NDArray[np.float32]:
-        """(materials - 1, H, W) cumulative ratios, row 0 = largest y."""
-        return self._map(layer) if self._shared is None else self._shared
+    def check(self, record: LayerRecord) -> _LayerCheck:
+        """Reads a layer's bitmaps, counts them, and holds them against the manifest and each other."""
+        stack, grid = self._stack, self._stack.grid
+        labels = np.zeros((grid.height_px, grid.width_px), np.uint8)
+        pixels, problems = [], []
+        twice: NDArray[np.bool_] = np.zeros(labels.shape, bool)
+        for m, name in enumerate(stack.materials, 1):
+            deposit, found = _read_layer(stack, record, name)
+            problems += found
+            count = 0 if deposit is None else int(np.count_nonzero(deposit))
+            if deposit is not None:
+                twice |= deposit & (labels > 0)
+                labels[deposit] = m
+            if count != record.pixels.get(name):
+                wanted = str(record.pixels.get(name))
+                problems.append((COUNTS, f"layer {record.index}: {count} pixels of {name}; the manifest says {wanted}"))
+            pixels.append(count)
+        if twice.any():
+            row, column = np.argwhere(twice)[0]
+            where = f"the first in column {column}, row {row}"
+            problems.append(
+                (PARTITION, f"layer {record.index}: {np.count_nonzero(twice)} pixels belong to two materials, {where}")
+            )
+        margin = grid.margin_px
+        inner = labels[::-1][margin : grid.height_px - margin, margin : grid.width_px - margin]
+        cumulative = self._painted.ratio_map(grid, record.index) if self._shared is None else self._shared
+        got, asked = self._windows.count(inner, cumulative)
+        thinned = None if self._texture is None else self._texture.thin(inner)
+        return _LayerCheck(pixels, asked.sum(axis=(1, 2)).tolist(), problems, (got, asked), thinned)
 
-    def _map(self, layer: int) -> NDArray[np.float32]:
-        margin = (self._grid.margin_px, self._grid.margin_px)
-        return np.pad(self._painted.ratio_map(self._grid, layer), ((0, 0), margin, margin))[:, ::-1]
 
-
-def _check_layer(stack: Stack, record: LayerRecord, ratio: _Ratio) -> _LayerCheck:
+def _read_layer(stack: Stack, record: LayerRecord, name: str) -> tuple[NDArray[np.bool_] | None, list[tuple[str, str]]]:
+    """Where a material's bitmap is white, or None, and what is wrong with the file."""
     shape = (stack.grid.height_px, stack.grid.width_px)
-    claimed = np.zeros(shape, np.uint8)
-    pixels, problems = [], []
-    for name in stack.materials:
-        file = stack.folder / layer_path(name, record.index)
-        count = 0
-        try:
-            with storage_errors("read", file):
-                content = file.read_bytes()
-            if hashlib.sha256(content).hexdigest() != record.sha256.get(name):
-                problems.append((HASHES, f"layer {record.index}: '{file}' was altered"))
-            deposit = decode_bitmap(content, file)
-            if deposit.shape == shape:
-                count = int(np.count_nonzero(deposit))
-                claimed += deposit
-            else:
-                size = f"{deposit.shape[1]} × {deposit.shape[0]}"
-                wanted = f"{shape[1]} × {shape[0]}"
-                problems.append((SIZES, f"layer {record.index}: '{file}' has {size} pixels instead of {wanted}"))
-        except AmslicerError as error:
-            problems.append((FILES, f"layer {record.index}: {error.message}"))
-        if count != record.pixels.get(name):
-            wanted = str(record.pixels.get(name))
-            problems.append((COUNTS, f"layer {record.index}: {count} pixels of {name}; the manifest says {wanted}"))
-        pixels.append(count)
-    twice = int(np.count_nonzero(claimed > 1))
-    if twice:
-        row, column = np.argwhere(claimed > 1)[0]
-        where = f"the first in column {column}, row {row}"
-        problems.append((PARTITION, f"layer {record.index}: {twice} pixels belong to two materials, {where}"))
-    solid = claimed > 0
-    until = [float(plane[solid].sum(dtype=np.float64)) for plane in ratio.at(record.index)]
-    asked = np.diff([0.0, *until, float(np.count_nonzero(solid))])
-    return _LayerCheck(pixels, [float(a) for a in asked], problems)
+    file = stack.folder / layer_path(name, record.index)
+    problems = []
+    try:
+        with storage_errors("read", file):
+            content = file.read_bytes()
+        if hashlib.sha256(content).hexdigest() != record.sha256.get(name):
+            problems.append((HASHES, f"layer {record.index}: '{file}' was altered"))
+        deposit = decode_bitmap(content, file)
+    except AmslicerError as error:
+        return None, [*problems, (FILES, f"layer {record.index}: {error.message}")]
+    if deposit.shape != shape:
+        size, wanted = (f"{columns} × {rows}" for rows, columns in (deposit.shape, shape))
+        return None, [*problems, (SIZES, f"layer {record.index}: '{file}' has {size} pixels instead of {wanted}")]
+    return deposit, problems
+
+
+def _volume_problems(stack: Stack, solid: int) -> Iterator[str]:
+    """The stack's volume against the mesh's, beyond what sampling its surface can explain."""
+    part, grid = stack.manifest["part"], stack.grid
+    if not stack.manifest["complete"] or "open" in part or "volume_mm3" not in part:
+        return
+    expected = part["volume_mm3"] - part["overlap_mm3"]
+    allowed = VOLUME_SHARE * expected + part["surface_mm2"] * max(*grid.pitch_mm, grid.layer_mm) / 2
+    volume = solid * grid.voxel_mm3
+    if abs(volume - expected) > allowed:
+        yield (f"the stack holds {volume:.6g} mm³, the part {expected:.6g} mm³ (allowed ± {allowed:.3g} mm³)")
 
 
 def _check_totals(stack: Stack, totals: list[int], findings: _Findings) -> None:

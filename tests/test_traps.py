@@ -197,7 +197,7 @@ ABSURD_TRAPS = [
     Trap("scaled to 10^30 mm", 3, ("the job is too large", "5e+30 mm"), "--scale", words=("--scale", "1e30")),
     Trap("a period of 1 nm", 3, ("the job is too large", "pattern.period 1e-06 mm"), "period",
          words=("--set", "pattern.period=1e-6")),
-    Trap("a period of 1 km", 3, ("the job is too large", "pattern.period 1000000.0 mm"), "period",
+    Trap("a period of 1 km", 3, ("the job is too large", "pattern.period 1e+06 mm"), "period",
          words=("--set", "pattern.period=1e6")),
     Trap("a bandwidth of 10^-9", 3, ("the job is too large", "bandwidth 1e-09"), "bandwidth",
          words=("--set", "pattern.bandwidth=1e-9")),
