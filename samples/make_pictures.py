@@ -55,16 +55,18 @@ def stack_up(tiles: list[tuple[Image.Image, str]], places: list[tuple[int, int]]
 
 
 def cross_plate() -> Image.Image:
-    """Two painted fields on the left, the laminate on the right."""
-    folder, small = SAMPLES / "cross_plate", 300
+    """Three painted fields on the left, the laminate on the right."""
+    folder, small = SAMPLES / "cross_plate", 265
     (layer,), colors, pitch = layers_at("cross_plate", (0.5,))
     large = layer_picture(layer, colors, pitch, SHEET - small - 3 * GAP)
     tiles = [
         (grey(folder / "ratio.png", small), "painted ratio of rigid (black 15 %, white 80 %)"),
         (grey(folder / "orientation.png", small), "painted normal (black -90°, white 90°)"),
+        (grey(folder / "isotropy.png", small), "painted isotropy (black 0, white 0.9)"),
         (large, "one layer at 600 dpi, 60 mm across: rigid blue, flexible orange"),
     ]
-    return stack_up(tiles, [(GAP, GAP), (GAP, 2 * GAP + TEXT + small), (small + 2 * GAP, GAP)])
+    left = [(GAP, GAP + i * (small + TEXT + GAP)) for i in range(3)]
+    return stack_up(tiles, [*left, (small + 2 * GAP, GAP)])
 
 
 def insole() -> Image.Image:

@@ -41,6 +41,9 @@ PLATE_CENTRE_MM = 8.0
 PLATE_TWIST_DEG = 80.0
 """Turn of the normals along the arms in y: this much at the upper tip, its opposite at the lower one."""
 PLATE_TWIST_START_MM = 8.0
+PLATE_ISOTROPY_RANGE = (0.0, 0.9)
+PLATE_ISOTROPIC_MM, PLATE_LAMINATE_MM = 5.0, 15.0
+"""Distances from the centre up to which the hub is isotropic, and from which on the plate is a laminate."""
 PLATE_RATIO_BASE = 0.45
 PLATE_STRIPE_MM = 12.0
 PLATE_STRIPE_RATIO = 0.22
@@ -99,7 +102,7 @@ materials:                     # the first one is what fields.ratio counts
 """
 
 PLATE_YAML = """\
-# A flat cross whose sheets of two materials follow two painted pictures.
+# A flat cross whose sheets of two materials follow three painted pictures.
 #   amslicer samples/cross_plate/cross_plate.stl --fields samples/cross_plate/fields.yaml -o out
 
 $materials
@@ -115,6 +118,9 @@ fields:
   # Where the sheets' normal points, in degrees from +x towards +y: the part gives way along the normal
   # and is stiff across it. -90 and 90 are the same direction. Mid-grey is 0: sheets parallel to y.
   orientation: {image: orientation.png, range: [$angle_low, $angle_high]}
+  # How freely the sheets' directions scatter about that: 0 is a laminate, 1 has no direction left. The
+  # hub should give way alike in all directions.
+  isotropy: {image: isotropy.png, range: [$isotropy_low, $isotropy_high]}
 """
 
 INSOLE_YAML = """\
@@ -222,12 +228,19 @@ def plate_orientation(x: Array, y: Array) -> Array:
     return -45.0 + 45.0 * towards_y + PLATE_TWIST_DEG * twist * (1.0 + towards_y) / 2.0
 
 
+def plate_isotropy(x: Array, y: Array) -> Array:
+    """Isotropy: without direction in the hub, a laminate in the arms."""
+    low, high = PLATE_ISOTROPY_RANGE
+    return high - (high - low) * smooth_step(np.hypot(x, y), PLATE_ISOTROPIC_MM, PLATE_LAMINATE_MM)
+
+
 def plate_pictures(mesh: trimesh.Trimesh) -> list[Picture]:
-    """The plate's painted ratio and orientation."""
+    """The plate's painted ratio, orientation and isotropy."""
     x, y = texel_centres(mesh)
     return [
         Picture("ratio.png", to_grey(plate_ratio(x, y), PLATE_RATIO_RANGE), 16),
         Picture("orientation.png", to_grey(plate_orientation(x, y), ANGLE_RANGE_DEG), 8),
+        Picture("isotropy.png", to_grey(plate_isotropy(x, y), PLATE_ISOTROPY_RANGE), 8),
     ]
 
 
@@ -350,6 +363,8 @@ def job_text(template: str, ratio_range: tuple[float, float]) -> str:
         ratio_high=f"{ratio_range[1]:g}",
         angle_low=f"{ANGLE_RANGE_DEG[0]:g}",
         angle_high=f"{ANGLE_RANGE_DEG[1]:g}",
+        isotropy_low=f"{PLATE_ISOTROPY_RANGE[0]:g}",
+        isotropy_high=f"{PLATE_ISOTROPY_RANGE[1]:g}",
         elevation_heel=INSOLE_ELEVATION_DEG[0],
         elevation_toe=INSOLE_ELEVATION_DEG[1],
     )

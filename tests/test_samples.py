@@ -20,7 +20,10 @@ from amslicer.pipeline import prepare
 
 SAMPLES = Path(__file__).parents[1] / "samples"
 PARTS = ("cross_plate", "insole")
-PICTURES = ("cross_plate/ratio.png", "cross_plate/orientation.png", "insole/ratio.png", "insole/azimuth.png")
+PICTURES = (
+    "cross_plate/ratio.png", "cross_plate/orientation.png", "cross_plate/isotropy.png",
+    "insole/ratio.png", "insole/azimuth.png",
+)  # fmt: skip
 STEP_MM = 1e-4
 """Far below a pixel; cos and exp of two C libraries differ by 1e-14 mm, which float32 STL may round to 1e-5 mm."""
 LEVELS = 1
@@ -153,6 +156,7 @@ def crossings(triangles: NDArray[np.float64], x: float, y: float) -> NDArray[np.
     [
         ("cross_plate/ratio.png", 16, 0.80, 0.15, 0.15, 0.79),
         ("cross_plate/orientation.png", 8, 90.0, -90.0, -87.0, 74.0),
+        ("cross_plate/isotropy.png", 8, 0.9, 0.0, 0.0, 0.9),
         ("insole/ratio.png", 16, 0.75, 0.15, 0.15, 0.75),
         ("insole/azimuth.png", 8, 90.0, -90.0, -78.0, 69.0),
     ],
@@ -189,7 +193,7 @@ def test_the_plates_job() -> None:
         "fields": {
             "ratio": {"image": "ratio.png", "range": [0.15, 0.8], "plane": "xy"},
             "orientation": {"image": "orientation.png", "range": [-90.0, 90.0], "plane": "xy"},
-            "isotropy": 0.0,
+            "isotropy": {"image": "isotropy.png", "range": [0.0, 0.9], "plane": "xy"},
         },
         "output": {"format": "png", "compression": "fast"},
     }  # fmt: skip
