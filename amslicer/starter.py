@@ -24,17 +24,18 @@ printer: {printer}            # a profile: `amslicer printers` lists them, DLP a
 #   rotate: [0, 0, 0]              # about the file's x, then y, then z axis
 #   on_bed: true                   # lowest point to z = 0
 
-materials:                         # two; the first is what fields.ratio counts
+materials:                         # 2 to 8; with two, the first is what fields.ratio counts
   - {{name: rigid,    color: "{colors[0]}", density_g_cm3: 1.18}}
   - {{name: flexible, color: "{colors[1]}", density_g_cm3: 1.12}}
 
 pattern:
   # noise: {pattern.noise}
   dimensions: {pattern.dimensions}                    # 3: solid laminate; 2: the same pattern in every layer
-  period: {pattern.period}                      # mm from one sheet of a material to the next
+  period: {pattern.period}                      # mm from one sheet of a material to the next; a FIELD
   bandwidth: {pattern.bandwidth}                   # smaller: straighter, more regular sheets; larger: quicker to turn
   # impulses: {impulses:g}                    # kernels per bandwidth^dimensions
-  # profile: {pattern.profile}
+  # profile: {pattern.profile}                   # of several materials: symmetric A B C B A, or cyclic A B C A B C
+  # edges: {pattern.edges}                   # or dithered, for very regular sheets along the pixel rows
   # evaluate: {pattern.evaluate}              # or exact; this version evaluates both exactly
   seed: {pattern.seed}                          # another seed, another laminate of the same kind
 
@@ -47,10 +48,11 @@ fields:
   #                                                    part seen from above, or over box: [x0, y0, x1, y1];
   #                                                    plane: xz or yz for a picture of its side
   #   {{expression: "0.5 + 0.4*sin(2*pi*x/20)"}}        x y z in mm, u v w from 0 to 1 over the bounding box
-  ratio: {{gradient: {{axis: x, from: 0.2, to: 0.8}}}} # share of the first material, 0 to 1
+  ratio: {{gradient: {{axis: x, from: 0.2, to: 0.8}}}} # share of the first material, 0 to 1;
+                                   # or per material: {{rigid: FIELD, flexible: 0.2, soft: rest}}
   orientation: 30                  # the sheets' normal, from +x towards +y; or in 3D
-                                   # {{azimuth: FIELD, elevation: FIELD}}
-  # isotropy: 0
+                                   # {{azimuth: FIELD, elevation: FIELD}}, or {{vector: [FIELD, FIELD, FIELD]}}
+  # isotropy: 0                    # a FIELD: 0 laminate … 1 gives way alike in all directions
 
 # output: {{format: {output.format}, compression: {output.compression}}}          # compression: fast or small
 """
