@@ -114,6 +114,7 @@ def prepare(job: Job) -> Prepared:
     _refuse_absurd(job, grid, placement)
     painted = open_fields(job, placement, mesh.size_mm)
     _refuse_periods(painted)
+    _refuse_isotropies(painted)
     if PROFILES[spec.pattern.profile].cyclic:
         refuse_lines(painted)
     tiling = choose_tiling(grid, painted.period_bounds_mm[0])
@@ -156,6 +157,13 @@ def _refuse_periods(painted: Painted) -> None:
             f"{longest / shortest:.3g}; up to {MAX_PERIOD_RATIO} is built in this version",
             hint="change the field's range (or from and to), or clip() an expression",
         )
+
+
+def _refuse_isotropies(painted: Painted) -> None:
+    """Looks for a painted isotropy outside 0…1 all over the part, before kernels meet one."""
+    low, high = painted.isotropy.bounds
+    if low < 0 or high > 1:
+        painted.isotropies(sample_places(painted, painted.period_bounds_mm[1]).reshape(-1, 3))
 
 
 def _refuse_many_kernels(job: Job, noise: Noise, grid: Grid, tiling: Tiling, painted: Painted) -> None:

@@ -226,6 +226,7 @@ def test_isotropies_and_periods_that_are_refused(
     with pytest.raises(JobError) as caught:
         amslicer.slice_job(job(tmp_path, ["a", "b"], fields, **pattern), tmp_path / "out")
     assert said in caught.value.message
+    assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.parametrize("dimensions", [2, 3])
