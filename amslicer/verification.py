@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -40,6 +41,7 @@ if TYPE_CHECKING:
 SPREAD, SIGMAS = 0.075, 4.0
 # Pixels that a sheet's edge passes through fall to either side: the share of n pixels scatters by about ½/√n.
 PIXEL_SHARE = 0.5
+LAYERS_AHEAD = 8  # of the one that is added up
 MAX_PROBLEMS = 20  # said in full; more are counted
 
 
@@ -212,9 +214,7 @@ def verify_stack(
     shown: list[Shown] = []
     with ThreadPoolExecutor(Run(jobs=jobs).threads) as pool:
         look = _LayerLook(stack, painted, windows, texture if texture.usable else None)
-        for done, (record, result) in enumerate(
-            zip(stack.records, pool.map(look.check, stack.records), strict=True), 1
-        ):
+        for done, (record, result) in enumerate(_in_order(pool, look.check, stack.records), 1):
             totals = [a + b for a, b in zip(totals, result.pixels, strict=True)]
             asked = [a + b for a, b in zip(asked, result.asked, strict=True)]
             windows.add(record.index, *result.in_windows)
@@ -246,6 +246,20 @@ def verify_stack(
             findings.add(law, problem)
     checks = tuple(findings.check(law) for law in LAWS)
     return Report(stack.folder, len(stack.records), sum(totals), checks, materials, tuple(levels), tuple(shown))
+
+
+def _in_order(
+    pool: ThreadPoolExecutor, check: Callable[[LayerRecord], _LayerCheck], records: Sequence[LayerRecord]
+) -> Iterator[tuple[LayerRecord, _LayerCheck]]:
+    """Checks layers in threads, a few ahead of whoever takes them: they are too large to wait in numbers."""
+    waiting: deque[tuple[LayerRecord, Future[_LayerCheck]]] = deque()
+    for record in records:
+        waiting.append((record, pool.submit(check, record)))
+        if len(waiting) > LAYERS_AHEAD:
+            first, future = waiting.popleft()
+            yield first, future.result()
+    for first, future in waiting:
+        yield first, future.result()
 
 
 def _job_of(stack: Stack, fields: str | os.PathLike[str] | None) -> Job:

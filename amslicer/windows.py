@@ -88,9 +88,11 @@ class RatioWindows:
         """
         solid = labels > 0
         materials = len(self._painted.materials)
-        got = np.stack([self._sums(labels == m) for m in range(1, materials + 1)])
+        whole = self._sums(solid)[None]
+        got = np.stack([self._sums(labels == m) for m in range(1, materials)])
+        got = np.concatenate([got, whole - got.sum(axis=0)])
         until = np.stack([self._sums(plane * solid) for plane in cumulative])
-        zero, whole = np.zeros((1, *until.shape[1:])), self._sums(solid)[None]
+        zero = np.zeros_like(whole)
         return got, np.diff(np.concatenate([zero, until, whole]), axis=0)
 
     def add(self, layer: int, got: Floats, asked: Floats) -> None:
