@@ -4,12 +4,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
+
+import numpy as np
 
 if TYPE_CHECKING:
     from amslicer.pipeline import Prepared
     from amslicer.specification import JobFile
 
+LOCKED_SHARE = 0.01  # noted from here on
+STRAIGHT_DEG = 1.0  # sheets that turn by more are rounded differently from place to place
+LOCKING_STEP_PERIODS = 4.0  # between places where the direction is read
+COARSE_PX = 64  # pixels per side that stand for the part's mean ratio
 NOTED_MM = 5e-4  # moves that would be shown as 0.000 mm are float noise
 MIN_PERIOD_PX = 3  # below, pixels do not show where one sheet ends
 
@@ -32,6 +39,7 @@ def notes_of(prepared: Prepared) -> list[str]:
         *layer_notes(grid.layers, printer.min_layers, name),
         *pixel_notes(period_mm, shares, pitch_mm),
         *feature_notes(period_mm, shares, feature and max(feature[: 3 if solid else 2]), name),
+        *locking_notes(prepared),
         *format_notes(spec),
     ]
 
@@ -112,6 +120,45 @@ def feature_notes(period_mm: float, shares: Sequence[Bounds], feature_mm: float 
         yield (
             f"sheets thin out to nothing where a share nears 0: below {100 * feature_mm / period_mm:.3g} % of a period "
             f"of {period_mm:g} mm they are thinner than {least}"
+        )
+
+
+def locking_notes(prepared: Prepared) -> Iterator[str]:
+    """Whether sheets are in step with the pixels, so that all of them are rounded alike.
+
+    A direction or a period that changes through the part, and any isotropy, take sheets out of step.
+    """
+    from amslicer.arrows import sample_places
+    from amslicer.locking import locking_error
+
+    spec, grid, painted = prepared.job.spec, prepared.grid, prepared.painted
+    shortest, longest = painted.period_bounds_mm
+    if spec.pattern.edges == "dithered" or not painted.is_laminate or shortest < longest:
+        return
+    normals = painted.normals(sample_places(painted, LOCKING_STEP_PERIODS * shortest).reshape(-1, 3))
+    if np.abs(normals @ normals[0]).min() < math.cos(math.radians(STRAIGHT_DEG)):
+        return
+    axes = painted.dimensions
+    pitch = np.array([*grid.pitch_mm, grid.layer_mm])[:axes]
+    size = painted.placement.size_mm
+    coarse = replace(
+        grid, columns=COARSE_PX, rows=COARSE_PX, layers=1, margin_px=0, layer_mm=float(size[2]),
+        pitch_mm=(float(size[0]) / COARSE_PX, float(size[1]) / COARSE_PX),
+    )  # fmt: skip
+    errors = locking_error(
+        painted.ratio_map(coarse, 0).mean(axis=(1, 2)), profile=spec.pattern.profile,
+        cycles_per_pixel=normals[0, :axes] * pitch / shortest,
+        extents_px=np.array([grid.columns, grid.rows, grid.layers])[:axes],
+        width_per_pixel=spec.pattern.bandwidth * pitch / shortest,
+    )  # fmt: skip
+    worst = int(np.argmax(errors))
+    if errors[worst] > LOCKED_SHARE:
+        along = int(np.argmax(np.abs(normals[0, :axes]) / pitch))
+        pixels = shortest / abs(float(normals[0, along])) / pitch[along]
+        yield (
+            f"the ratio of {painted.materials[worst]} may be off by up to {100 * errors[worst]:.1f} %: straight sheets "
+            f"{pixels:.2f} {('pixels along x', 'pixels along y', 'layers')[along]} apart are in step with the grid and "
+            "all rounded alike; set pattern.edges to dithered, change the period a little, or turn the part"
         )
 
 
