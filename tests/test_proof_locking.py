@@ -1,7 +1,7 @@
 """Proof: sheets in step with the pixels lose their ratio by rounding; dithered edges do not, and sharp ones are told.
 
-Straight sheets along the pixel rows (bandwidth 0.005), as an exact plane wave at 50 phases through the profile's kernel,
-and as whole jobs. What is asked is the ratio itself: the plate holds a whole number of periods.
+Straight sheets along the pixel rows (bandwidth 0.005), as an exact plane wave at 50 phases through the kernel of the
+profile, and as whole jobs. What is asked is the ratio itself: the plate holds a whole number of periods.
 """
 
 from __future__ import annotations
