@@ -39,7 +39,7 @@ HARMONICS = 12
 SERIES_TERMS, SERIES_NODES, SERIES_REACH = 4, 10, 10.0
 # About four kernels per b^-d are not quite Gaussian: σ is 1.00 to 1.12 times the theory's, more at smaller bandwidths
 # (0.143 singularities per period² where theory has 0.125), measured in windows of 2 to 20 periods.
-FEW_KERNELS = 1.07
+FEW_KERNELS = 1.10
 # Isotropy turns sheets within ±90° s, so beyond s = ¼ windows see all directions alike; as sheets bend, they end in
 # more singularities: at s = 1, windows of 10 to 20 periods measured 1.35 (B = 0.25), 1.2 (0.5), 1.0 (1) × the average.
 DIRECTIONS_MIX, BENDING = 4.0, 0.25
