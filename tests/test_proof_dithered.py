@@ -19,14 +19,14 @@ def share(job: amslicer.Job) -> float:
 
 
 def errors_in_step(folder: Path, edges: str) -> parts.Floats:
-    """Of six blocks of 10 layers per period, almost regular sheets in the layers: ¼ is 2 or 3 of 10 layers."""
-    part = parts.box(folder, (2, 2, 10))
+    """Of four blocks of 10 layers per period, almost regular sheets in the layers: ¼ is 2 or 3 of 10 layers."""
+    part = parts.box(folder, (4, 4, 10))
     jobs = [
         parts.job(
-            part, ratio=0.25, orientation=SHEET, dimensions=3, bandwidth=0.005, seed=seed, edges=edges,
-            printer={"pitch_um": 50, "layer_um": 100},
+            part, ratio=0.25, orientation=SHEET, dimensions=3, bandwidth=0.02, seed=seed, edges=edges,
+            printer={"pitch_um": 100, "layer_um": 100},
         )
-        for seed in range(1, 7)
+        for seed in range(1, 5)
     ]  # fmt: skip
     return np.array([share(job) for job in jobs]) - 0.25
 
