@@ -39,17 +39,17 @@ def plate(folder: Path, width_mm: float, depth_mm: float) -> Path:
     return box(folder, (width_mm, depth_mm, 0.05))
 
 
-def paint(folder: Path, grey: NDArray[np.uint8], name: str = "painted.png") -> str:
+def paint(folder: Path, grey: NDArray[np.uint8 | np.uint16], name: str = "painted.png") -> str:
     """Writes a picture, its first row at the top, beside the job file; returns its name there."""
     Image.fromarray(grey).save(folder / name)
     return name
 
 
 def job(
-    part: Path, *, ratio: Any = 0.5, orientation: Any = 0.0, printer: Mapping[str, Any] = SQUARE,
-    settings: Mapping[str, Any] | None = None, **pattern: Any,
+    part: Path, *, ratio: Any = 0.5, orientation: Any = 0.0, isotropy: Any = 0.0, printer: Mapping[str, Any] = SQUARE,
+    settings: Mapping[str, Any] | None = None, materials: tuple[str, ...] = ("rigid", "flexible"), **pattern: Any,
 ) -> Job:  # fmt: skip
-    """A two-material job whose file lies beside the part (2D unless `dimensions` says otherwise).
+    """A job whose file lies beside the part (two materials, and 2D unless `dimensions` says otherwise).
 
     Args:
         settings: the job file's `part` section.
@@ -58,9 +58,9 @@ def job(
     content = {
         "printer": dict(printer),
         "part": dict(settings or {}),
-        "materials": ["rigid", "flexible"],
+        "materials": list(materials),
         "pattern": {"dimensions": 2, **pattern},
-        "fields": {"ratio": ratio, "orientation": orientation},
+        "fields": {"ratio": ratio, "orientation": orientation, "isotropy": isotropy},
     }
     file = part.with_suffix(".yaml")
     file.write_text(json.dumps(content), encoding="utf-8")  # JSON is YAML
