@@ -1,4 +1,4 @@
-"""Random jobs over everything that can be painted, for asking whether verification raises alarms about honest stacks."""
+"""Random jobs over everything that can be painted: does verification raise alarms about honest stacks?"""
 
 from __future__ import annotations
 
