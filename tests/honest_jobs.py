@@ -16,15 +16,19 @@ from scipy import ndimage
 import amslicer
 from amslicer import Job
 
-MAX_PIXELS = 4e6  # of a part's bounding box, so that hundreds of jobs take minutes
+MAX_PIXELS = 4e6  # so that hundreds of jobs take minutes
 LEAST_SHARE = 0.08  # of a material: a sheet of a pixel or so
 SHAPES = ("box", "cylinder", "sphere", "tilted box")
 RATIOS = ("constant", "gradient", "expression")
 DIRECTIONS = ("constant", "gradient", "painted", "vector")
 
 
-def honest_job(folder: Path, seed: int) -> tuple[Job, dict[str, Any]]:
-    """A random job with its part and pictures in a folder, and the job file's content."""
+def honest_job(folder: Path, seed: int, max_pixels: float = MAX_PIXELS) -> tuple[Job, dict[str, Any]]:
+    """A random job with its part and pictures in a folder, and the job file's content.
+
+    Args:
+        max_pixels: of the part's bounding box, all layers.
+    """
     random = np.random.default_rng(seed)
     dimensions = int(random.choice([2, 3]))
     direction = str(random.choice(DIRECTIONS))
@@ -52,7 +56,7 @@ def honest_job(folder: Path, seed: int) -> tuple[Job, dict[str, Any]]:
             "isotropy": isotropy(random),
         },
     }
-    solid = shape(random, (low_mm + high_mm) / 2, np.array([*pitch_um, layer_um]) / 1000, dimensions)
+    solid = shape(random, (low_mm + high_mm) / 2, np.array([*pitch_um, layer_um]) / 1000, dimensions, max_pixels)
     file = folder / "fields.yaml"
     file.write_text(json.dumps(content), encoding="utf-8")
     return amslicer.load_job(file, parts.stl(folder, solid)), content
@@ -109,16 +113,18 @@ def isotropy(random: Generator) -> Any:
     return start if random.random() < 0.5 else gradient(str(random.choice(["x", "y"])), start, end)
 
 
-def shape(random: Generator, period_mm: float, pitch_mm: np.ndarray[Any, Any], dimensions: int) -> meshes.Solid:
+def shape(
+    random: Generator, period_mm: float, pitch_mm: np.ndarray[Any, Any], dimensions: int, max_pixels: float
+) -> meshes.Solid:
     """A solid of 10 to 45 periods, thinner where that would be too many pixels."""
     kind = str(random.choice(SHAPES))
     size = np.exp(random.uniform(np.log(10), np.log(45), 3)) * period_mm
     if dimensions == 2 and kind != "sphere":
         size[2] = 4 * pitch_mm[2]
-    excess = np.prod(size / pitch_mm) / MAX_PIXELS
+    excess = np.prod(size / pitch_mm) / max_pixels
     if excess > 1:  # lower first, then smaller as a whole
         size[2] /= min(excess, size[2] / (10 * period_mm)) if size[2] > 10 * period_mm else 1
-        size *= min(1.0, (MAX_PIXELS / np.prod(size / pitch_mm)) ** (1 / 3))
+        size *= min(1.0, (max_pixels / np.prod(size / pitch_mm)) ** (1 / 3))
     if kind == "sphere":
         return meshes.sphere(float(size.min()) / 2, 4)
     if kind == "cylinder":
