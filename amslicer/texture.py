@@ -223,7 +223,9 @@ def _power(values: Floats, step_mm: Floats, planar: bool) -> tuple[Floats, Float
     z, y, x = np.meshgrid(*along, np.fft.rfftfreq(nx, step_mm[0]), indexing="ij")
     # A sample is the mean over its own size, which lowers what is fast.
     power /= np.square(np.sinc(x * step_mm[0]) * np.sinc(y * step_mm[1]) * (1.0 if planar else np.sinc(z * step_mm[2])))
-    return np.stack([x, y, z], axis=-1).reshape(-1, 3), power.reshape(-1)
+    # Where f_x = 0 the transform has both f and -f: sheets along x would count twice.
+    one = (x > 0) | ((x == 0) & ((y > 0) | ((y == 0) & (z > 0))))
+    return np.stack([x[one], y[one], z[one]], axis=-1), power[one]
 
 
 def _spread_normals(normal: Floats, isotropy: float, planar: bool) -> Iterator[tuple[Floats, float]]:
