@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 
 LOCKED_SHARE = 0.01  # noted from here on
 STRAIGHT_DEG = 1.0  # sheets that turn by more are rounded differently from place to place
+LOCKING_PERIODS = 8.0  # parts of fewer sheets are further off by chance, and by how their sides cut the sheets
 LOCKING_STEP_PERIODS = 4.0  # between places where the direction is read
 COARSE_PX = 64  # pixels per side that stand for the part's mean ratio
 NOTED_MM = 5e-4  # moves that would be shown as 0.000 mm are float noise
@@ -141,6 +142,8 @@ def locking_notes(prepared: Prepared) -> Iterator[str]:
     axes = painted.dimensions
     pitch = np.array([*grid.pitch_mm, grid.layer_mm])[:axes]
     size = painted.placement.size_mm
+    if float(np.abs(normals[0, :axes]) @ size[:axes]) < LOCKING_PERIODS * shortest:
+        return
     coarse = replace(
         grid, columns=COARSE_PX, rows=COARSE_PX, layers=1, margin_px=0, layer_mm=float(size[2]),
         pitch_mm=(float(size[0]) / COARSE_PX, float(size[1]) / COARSE_PX),
