@@ -15,18 +15,19 @@ sys.path.append(str(Path(__file__).resolve().parents[1]))  # the tests' own modu
 import honest_jobs
 
 import amslicer
+from amslicer.judgement import MIN_BLOCKS
 
-LARGEST_SEED = 1_000_000  # between the jobs of one --seed and the next
+SEED_STEP = 1_000_000  # between the jobs of one --seed and the next
 
 
-def alarms(seed: int) -> tuple[list[str], dict[str, object]]:
-    """What verification says against an honest job's stack, and what the job was."""
+def alarms(seed: int) -> tuple[list[str], dict[str, object], bool]:
+    """What verification says against an honest job's stack, what the job was, and whether its texture was judged."""
     with tempfile.TemporaryDirectory() as name:
         job, content = honest_jobs.honest_job(Path(name), seed)
         amslicer.slice_job(job, Path(name) / "out")
         report = amslicer.verify(Path(name) / "out")
     said = [f"{check.name.partition(':')[0]}: {p}" for check in report.checks for p in check.problems]
-    return said, content
+    return said, content, len(report.shown) >= MIN_BLOCKS
 
 
 def main() -> None:
@@ -36,10 +37,11 @@ def main() -> None:
     options.add_argument("--seed", type=int, default=1)
     chosen = options.parse_args()
     laws: Counter[str] = Counter()
-    stacks, started = 0, time.monotonic()
+    stacks, judged, started = 0, 0, time.monotonic()
     for number in range(chosen.count):
-        seed = chosen.seed * LARGEST_SEED + number
-        said, content = alarms(seed)
+        seed = chosen.seed * SEED_STEP + number
+        said, content, texture = alarms(seed)
+        judged += texture
         if said:
             stacks += 1
             laws.update({line.partition(":")[0] for line in said})
@@ -47,6 +49,7 @@ def main() -> None:
             print("".join(f"  {line}\n" for line in said), end="", flush=True)
     seconds = time.monotonic() - started
     print(f"{stacks} of {chosen.count} honest stacks raised an alarm ({seconds:.0f} s): {dict(laws)}")
+    print(f"direction, period and isotropy were judged in {judged} of them; the others show too few blocks")
 
 
 if __name__ == "__main__":
