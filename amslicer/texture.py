@@ -27,6 +27,8 @@ BAND = (0.6, 1.4)  # of 1/p: where the lines' power is looked for
 FILLED = 0.4  # blocks with less of the part in them say too little
 MIN_SHEET_PX = 2.0  # thinner sheets are seen as dots
 MIN_CONTRAST = 0.03  # variance of the levels: a fifteenth of that of two equal materials
+# Blocks in which the painted direction turns or jumps by more (share of n nᵀ along its mean) show no one direction.
+ONE_DIRECTION, LOOKS = 0.9, 5
 PLACES = 2  # per axis of a block where the painted fields are read
 TURNS_FLAT, TURNS_ROUND, TURNS_TILT = 9, 8, 4  # directions that stand for a spread of them
 
@@ -84,6 +86,8 @@ class Texture:
         self.edges = [np.rint(np.linspace(0, n, b + 1)).astype(int) for n, b in zip(counts, blocks, strict=True)]
         self._planes: dict[int, NDArray[np.float32]] = {}
         self._added = 0
+        share = (np.arange(LOOKS) + 0.5) / LOOKS
+        self._look = np.stack(np.meshgrid(share, share, [0.5] if self.planar else share), axis=-1).reshape(-1, 3)
 
     @property
     def usable(self) -> bool:
@@ -149,6 +153,9 @@ class Texture:
             return None
         size_mm = np.array(counts.shape[:0:-1]) * self.step_mm
         places = _places(corner_mm, size_mm, self.planar)
+        normals = self._painted.normals(corner_mm + self._look * size_mm)
+        if np.linalg.eigvalsh(normals.T @ normals / len(normals))[-1] < ONE_DIRECTION:
+            return None
         period = float(self._painted.periods(places).mean())
         shares = counts.sum(axis=(1, 2, 3)) / solid.sum()
         thinnest = min((s for s in shares if s > 0), default=0.0) * period
