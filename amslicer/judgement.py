@@ -26,7 +26,10 @@ STANDARD_ERRORS = 4.0
 LOW_ISOTROPY = 0.2
 TURN_DEG, ANGLE_DEG, ANGLE_PER_ISOTROPY_DEG = 2.0, 7.0, 50.0
 # Period: the centroid of the power is 0 to 1 % above the model's.
-FREQUENCY, FREQUENCY_BIAS, FREQUENCY_SCATTER = 0.02, 0.005, 0.03
+FREQUENCY, FREQUENCY_BIAS = 0.02, 0.005
+# A handful of blocks can agree by chance, so their scatter counts as at least what full blocks of honest stacks
+# have at bandwidths 0.25 to 1: 2.4 to 4.8° of direction; 0.037 to 0.060 of frequency in 2D, 0.019 to 0.039 in space.
+TURN_SCATTER_DEG, FREQUENCY_SCATTER = 3.0, {2: 0.05, 3: 0.03}
 # Isotropy: the share of power along the normal is 0.06 below to 0.04 above the model's.
 ALONG, ALONG_BIAS = 0.07, -0.015
 
@@ -51,7 +54,8 @@ def direction_problems(shown: Sequence[Shown]) -> Iterator[str]:
         turns = np.array([block.turn_deg for block in blocks])
         angles = np.array([block.angle_deg for block in blocks])
         mean = turns.mean(axis=0)
-        allowed = TURN_DEG + STANDARD_ERRORS * float(np.linalg.norm(turns.std(axis=0, ddof=1))) / np.sqrt(len(blocks))
+        scatter = max(float(np.linalg.norm(turns.std(axis=0, ddof=1))), TURN_SCATTER_DEG)
+        allowed = TURN_DEG + STANDARD_ERRORS * scatter / np.sqrt(len(blocks))
         turned = float(np.linalg.norm(mean))
         if turned > allowed:
             axis = "xyz"[int(np.argmax(np.abs(mean)))]
@@ -66,12 +70,16 @@ def direction_problems(shown: Sequence[Shown]) -> Iterator[str]:
             )
 
 
-def period_problems(shown: Sequence[Shown]) -> Iterator[str]:
-    """Whether sheets are as far apart as painted."""
+def period_problems(shown: Sequence[Shown], dimensions: int) -> Iterator[str]:
+    """Whether sheets are as far apart as painted.
+
+    Args:
+        dimensions: of the pattern, 2 or 3.
+    """
     for where, blocks in _regions(shown):
         frequency = np.array([block.frequency for block in blocks])
         mean = float(frequency.mean()) - FREQUENCY_BIAS
-        scatter = max(float(frequency.std(ddof=1)), FREQUENCY_SCATTER)
+        scatter = max(float(frequency.std(ddof=1)), FREQUENCY_SCATTER[dimensions])
         allowed = FREQUENCY + STANDARD_ERRORS * scatter / np.sqrt(len(blocks))
         if abs(mean - 1) > allowed:
             yield f"{where}: the period is {1 / mean:.3f} times the painted one (allowed ± {allowed:.3f})"

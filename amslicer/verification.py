@@ -239,7 +239,7 @@ def verify_stack(
         (VOLUME, _volume_problems(stack, sum(totals))),
         (WINDOWS, ratio_problems(levels, stack.materials, painted.placement.origin_mm)),
         (DIRECTION, direction_problems(shown)),
-        (PERIOD, period_problems(shown)),
+        (PERIOD, period_problems(shown, pattern.dimensions)),
         (ISOTROPY, isotropy_problems(shown)),
     ):
         for problem in problems:

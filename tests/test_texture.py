@@ -133,8 +133,7 @@ def block(
 
 def test_blocks_as_painted_have_no_problem() -> None:
     shown = [block(i) for i in range(32)]
-    for problems in (direction_problems, period_problems, isotropy_problems):
-        assert list(problems(shown)) == []
+    assert [*direction_problems(shown), *period_problems(shown, 3), *isotropy_problems(shown)] == []
 
 
 def test_few_blocks_say_nothing() -> None:
@@ -144,7 +143,7 @@ def test_few_blocks_say_nothing() -> None:
 def test_sentences_say_what_and_how_much() -> None:
     turned = list(direction_problems([block(i, turn=9.0) for i in range(5)]))
     assert turned[0].startswith("the part: sheets are turned by 9.0° on average, mostly about z")
-    longer = list(period_problems([block(i, frequency=1 / 1.25 + 0.005) for i in range(5)]))
+    longer = list(period_problems([block(i, frequency=1 / 1.25 + 0.005) for i in range(5)], 3))
     assert longer[0].startswith("the part: the period is 1.250 times the painted one")
     rounder = list(isotropy_problems([block(i, along=0.5) for i in range(5)]))
     assert "50 % of the spectrum's power lies along the painted normal instead of 80 %" in rounder[0]
@@ -156,6 +155,13 @@ def test_the_half_that_is_turned_is_named() -> None:
     said = list(direction_problems(shown))
     assert any(line.startswith("the upper half along x") for line in said)
     assert not any(line.startswith("the lower half along x") for line in said)
+
+
+def test_few_blocks_that_agree_by_chance_are_not_sure_of_it() -> None:
+    """Honest plates have halves of five blocks that are all a tenth off; fifteen of them are too many."""
+    shown = [block(i, frequency=0.905) for i in range(5)]
+    assert list(period_problems(shown, 2)) == []
+    assert len(list(period_problems(shown * 3, 2))) == 1
 
 
 def test_where_directions_are_spread_a_turn_means_nothing() -> None:
