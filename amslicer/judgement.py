@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 MIN_BLOCKS = 4  # fewer say nothing about a mean
 HALVED_BLOCKS = 16  # from these on, halves of the part are looked at too
 STANDARD_ERRORS = 4.0
+ROUNDING = 1e-6  # of shares that are sums of float32
 # Direction, where isotropy is low: blocks of 7 periods are 2.4 to 3.4° off on average, and turn along by nothing.
 LOW_ISOTROPY = 0.2
 TURN_DEG, ANGLE_DEG, ANGLE_PER_ISOTROPY_DEG = 2.0, 7.0, 50.0
@@ -38,7 +39,7 @@ def ratio_problems(levels: Sequence[Level], materials: Sequence[str], corner_mm:
     """Windows whose ratio is further off than chance explains, the largest windows first."""
     for level in reversed(levels):
         error = level.got - level.asked
-        for window, m in np.argwhere(np.abs(error) > level.limit):
+        for window, m in np.argwhere(np.abs(error) > level.limit + ROUNDING):
             low, high = level.low_mm[window] + corner_mm, level.high_mm[window] + corner_mm
             where = ", ".join(f"{axis} {a:.1f} to {b:.1f}" for axis, a, b in zip("xyz", low, high, strict=True))
             yield (

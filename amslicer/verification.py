@@ -18,6 +18,7 @@ from amslicer.judgement import direction_problems, isotropy_problems, period_pro
 from amslicer.manifest import LayerRecord, placement_of
 from amslicer.painted import Painted, open_fields
 from amslicer.profile import PROFILES
+from amslicer.spread import DEFECT
 from amslicer.stack import VOLUME_SHARE, Stack, decode_bitmap
 from amslicer.storage import JOB_FILE, storage_errors
 from amslicer.texture import Shown, Texture
@@ -377,7 +378,9 @@ def _material_reports(
 
 
 def ratio_tolerance(grid: Grid, job: Job, painted: Painted, ratio: float, solid: int, largest: int) -> float:
-    """How far the ratio of an honest stack may be from the painted mean: 4σ + ρ(1-ρ)/N + a pixel's share.
+    """How far the ratio of an honest stack may be from the painted mean: 4σ + ρ(1-ρ)/N, a pixel's share, a defect's.
+
+    A part of about one period² may be of one material; there the largest error that is possible is allowed.
 
     Args:
         ratio: mean painted ratio over the solid.
@@ -398,4 +401,5 @@ def ratio_tolerance(grid: Grid, job: Job, painted: Painted, ratio: float, solid:
     corners = np.array([[0.0, 0.0, 0.0], size / 2, size])
     across = float(np.min(np.abs(painted.normals(corners)) @ size)) / period
     faces = ratio * (1 - ratio) / max(across, 1.0)
-    return SIGMAS * sigma + faces + PIXEL_SHARE / math.sqrt(solid)
+    allowed = SIGMAS * sigma + faces + PIXEL_SHARE / math.sqrt(solid) + DEFECT / area
+    return min(allowed, max(ratio, 1 - ratio))

@@ -44,19 +44,52 @@ def gradients(low: float, high: float) -> SearchStrategy[Field]:
     return st.fixed_dictionaries(ends, optional=span).map(lambda g: {"gradient": g})
 
 
+def radial_gradients(low: float, high: float) -> SearchStrategy[Field]:
+    content = {
+        "center": st.lists(numbers(-1, 3), min_size=2, max_size=3),
+        "radius": numbers(0.25, 4),
+        "from": numbers(low, high),
+        "to": numbers(low, high),
+    }
+    return st.fixed_dictionaries(content).map(lambda g: {"gradient": g})
+
+
+# Formulas of values in 0 … 1.
+FORMULAS = (
+    "u",
+    "1 - v**2",
+    "0.5 + 0.5*sin(2*pi*x/3 + y)",
+    "hypot(u, w)/2",
+    "where(u > 0.5, v, 0.25)",
+    "floor(3*u)/3",
+    "abs(min(u, v, w) - max(u, v, w))",
+    "exp(-(x**2 + z**2))",
+    "atan2(v, u)/pi",
+    "(0.2 < u) <= v",
+)
+
+
+def expressions(low: float, high: float) -> SearchStrategy[Field]:
+    ends = st.tuples(st.sampled_from(FORMULAS), numbers(low, high), numbers(low, high))
+    # The sum may be past an end by its rounding.
+    return ends.map(lambda e: {"expression": f"clip({e[1]} + ({e[2]} - {e[1]})*({e[0]}), {low}, {high})"})
+
+
 def images(low: float, high: float) -> SearchStrategy[Field]:
     corners = st.tuples(numbers(-3, 1), numbers(-3, 1), numbers(1.5, 6), numbers(1.5, 6)).map(list)
     content = {
         "image": st.sampled_from(sorted(PICTURES)),
         "range": st.tuples(numbers(low, high), numbers(low, high)).map(list),
     }
-    return st.fixed_dictionaries(content, optional={"box": corners})
+    return st.fixed_dictionaries(content, optional={"box": corners, "plane": st.sampled_from(["xy", "xz", "yz"])})
 
 
 FIELDS: dict[str, Callable[[float, float], SearchStrategy[Field]]] = {
     "constant": numbers,
     "gradient": gradients,
+    "radial gradient": radial_gradients,
     "image": images,
+    "expression": expressions,
 }
 
 _random = np.random.default_rng(7)
@@ -131,7 +164,8 @@ PARTS: dict[str, SearchStrategy[Any]] = {
 PATTERN: dict[str, SearchStrategy[Any]] = {
     "noise": st.sampled_from(sorted(NOISES)),
     "profile": st.sampled_from(sorted(PROFILES)),
-    "period": numbers(1, 3),
+    "edges": st.sampled_from(["sharp", "dithered"]),
+    "period": fields(1, 3),
     "bandwidth": numbers(0.4, 1),
     "impulses": numbers(3, 10),
     "alignment": st.just(0),
@@ -140,22 +174,36 @@ PATTERN: dict[str, SearchStrategy[Any]] = {
 }
 
 
+def orientations(dimensions: int, *, arrows: bool) -> SearchStrategy[Any]:
+    """Every way to write a direction; arrows: none that could turn into its opposite, as a cyclic profile needs it.
+
+    Samples of a picture are combined as lines, of which two at most 80° apart keep their arrows.
+    """
+    turn, side = (40, 0.5) if arrows else (180, 1)
+    components = [fields(0.75, 1) if arrows else fields(-1, 1), fields(-side, side)]
+    angles = fields(-turn, turn)
+    if dimensions == 2:
+        return st.one_of(angles, st.fixed_dictionaries({"vector": st.tuples(*components, st.just(0)).map(list)}))
+    pair = {"azimuth": angles, "elevation": fields(-turn / 2, turn / 2)}
+    vector = st.tuples(*components, fields(-side, side)).map(list)
+    return st.one_of(angles, st.fixed_dictionaries(pair), st.fixed_dictionaries({"vector": vector}))
+
+
 @st.composite
 def jobs(draw: st.DrawFn) -> dict[str, Any]:
     """The content of a valid job file."""
     chosen = draw(materials())
     dimensions = draw(st.sampled_from([2, 3]))
     names = [m if isinstance(m, str) else m["name"] for m in chosen]
-    angles: SearchStrategy[Any] = fields(-180, 180)
-    if dimensions == 3:
-        pair = st.fixed_dictionaries({"azimuth": fields(-180, 180), "elevation": fields(-90, 90)})
-        angles = st.one_of(angles, pair)
+    pattern = draw(st.fixed_dictionaries({}, optional=PATTERN))
+    arrows = PROFILES[pattern.get("profile", "pwm")].cyclic
+    painted = {"orientation": orientations(dimensions, arrows=arrows), "isotropy": fields(0, 1)}
     return {
         "printer": draw(printers()),
         "part": draw(st.fixed_dictionaries({}, optional=PARTS)),
         "materials": chosen,
-        "pattern": {"dimensions": dimensions, **draw(st.fixed_dictionaries({}, optional=PATTERN))},
-        "fields": draw(st.fixed_dictionaries({"ratio": ratios(names)}, optional={"orientation": angles})),
+        "pattern": {"dimensions": dimensions, **pattern},
+        "fields": draw(st.fixed_dictionaries({"ratio": ratios(names)}, optional=painted)),
         "output": draw(st.fixed_dictionaries({}, optional={"compression": st.sampled_from(["fast", "small"])})),
     }
 
@@ -223,6 +271,7 @@ OUT_OF_RANGE: Mapping[str, tuple[Any, ...]] = {
     "name": ("", "a/b", "..", "inputs", "x" * 65),
     "noise": ("perlin", ""),
     "profile": ("square",),
+    "edges": ("blurred", ""),
     "dimensions": (1, 4, 2.5),
     "period": (0, -1),
     "bandwidth": (0, -0.5, 2.1),
@@ -231,6 +280,10 @@ OUT_OF_RANGE: Mapping[str, tuple[Any, ...]] = {
     "evaluate": ("fast",),
     "seed": (-1, 2**64, 1.5),
     "axis": ("w", ""),
+    "center": ([1], [1, 2, 3, 4]),
+    "radius": (0, -1),
+    "plane": ("yx", ""),
+    "expression": ("", "u +", "q", "print(u)", "u.real", "sin(u, v)", "2**2**2**u" * 100),
     "box": ([1, 1, 0, 0], [0, 0, 0, 1], [0, 0, 1]),
     "compression": ("none",),
 }
