@@ -13,7 +13,8 @@ if TYPE_CHECKING:
     from amslicer.pipeline import Prepared
     from amslicer.specification import JobFile
 
-LOCKED_SHARE = 0.01  # noted from here on
+# Foretold errors are noted from here on: of 627 random gratings that err by more than 1 % the least foretold is 0.84 %.
+LOCKED_SHARE = 0.008
 STRAIGHT_DEG = 1.0  # sheets that turn by more are rounded differently from place to place
 LOCKING_PERIODS = 8.0  # parts of fewer sheets are further off by chance, and by how their sides cut the sheets
 LOCKING_STEP_PERIODS = 4.0  # between places where the direction is read
