@@ -16,6 +16,7 @@ from typing import Any
 import meshes
 import numpy as np
 import pytest
+from test_expression import REFUSED as EXPRESSIONS
 from test_fields import REFUSED as PICTURES
 from test_fields import ROWS, chunk, png, raw_png, saved
 from test_mesh import BOX, HOLED, ITEM, STL
@@ -255,9 +256,26 @@ PICTURE_TRAPS = [
          {"fields.yaml": ratio("{gradient: {axis: x, from: 0.5, to: 1.5}}").encode()}),
 ]  # fmt: skip
 
+# ---------------------------------------------------------------------------------------------------------
+# Expressions
+
+
+def expression(text: str) -> Trap:
+    """One of test_expression's, whose meant hint may stand in the error line or in the hint."""
+    what, column, _ = EXPRESSIONS[text]
+    place = () if column is None else (f"(column {column})",)
+    content = ratio(json.dumps({"expression": text})).encode()
+    return Trap(
+        f"expression: {ascii(text[:30])}", 3, ("error: fields.yaml, line ", "fields.ratio.expression: ", what, *place), None,
+        {"fields.yaml": content},
+    )  # fmt: skip
+
+
+EXPRESSION_TRAPS = [expression(text) for text in EXPRESSIONS]
+
 REFUSED: dict[str, list[Trap]] = {
     "meshes": MESH_TRAPS, "open meshes": OPEN_TRAPS, "job files": YAML_TRAPS, "absurd jobs": ABSURD_TRAPS,
-    "field files": PICTURE_TRAPS,
+    "field files": PICTURE_TRAPS, "expressions": EXPRESSION_TRAPS,
 }  # fmt: skip
 
 # ---------------------------------------------------------------------------------------------------------
