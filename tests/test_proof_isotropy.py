@@ -172,6 +172,44 @@ def test_turns_in_space_are_uniform_in_a_cap(draw: DeviceGenerator, isotropy: fl
         assert result.pvalue > 1e-3
 
 
+def cap_shares(lines: parts.Floats, weights: parts.Floats) -> parts.Floats:
+    """Weight in each of 20 equal-area sectors of the half sphere, over their mean."""
+    line = lines * np.where(lines[:, 2:] < 0, -1, 1)
+    level = np.minimum((line[:, 2] * 4).astype(int), 3)  # four bands of the same height, five sectors in each
+    turn = (np.arctan2(line[:, 1], line[:, 0]) / (2 * np.pi) % 1 * 5).astype(int) % 5
+    sums = np.bincount(5 * level + turn, weights, minlength=CAPS)
+    return sums / sums.mean()
+
+
+def solid_shares(folder: Path, isotropy: float, seed: int) -> parts.Floats:
+    """Sectors of the spectrum of a block's labels, ±1 at ratio ½, where the noise's waves are: 0.6 to 1.4 / period."""
+    content = {
+        "printer": {"pitch_um": 250, "layer_um": 250}, "materials": ["a", "b"], "pattern": {"seed": seed},
+        "fields": {"ratio": 0.5, "orientation": {"azimuth": 0, "elevation": 53}, "isotropy": isotropy},
+    }  # fmt: skip
+    job = amslicer.load_job(content, part=parts.box(folder, (SIDE_MM,) * 3))
+    labels = np.stack([layer.labels[::-1] for layer in amslicer.layers(job)])
+    assert labels.min() == 1  # solid all through
+    window = np.hanning(labels.shape[0])
+    window = window[:, None, None] * window[:, None] * window
+    power = np.abs(np.fft.fftn(np.where(labels == 1, 1.0, -1.0) * window)) ** 2
+    f = np.fft.fftfreq(labels.shape[0], 0.25)
+    wave = np.stack(np.meshgrid(f, f, f, indexing="ij")[::-1], axis=-1)
+    length = np.linalg.norm(wave, axis=-1)
+    inside = (length > 0.6) & (length < 1.4)
+    return cap_shares(wave[inside] / length[inside][:, None], power[inside])
+
+
+def test_isotropy_1_in_space_has_no_direction(tmp_path: Path) -> None:
+    """Eight blocks of 40 periods a side: none above 3.5 × the mean in any of 20 sectors, 1.6 × on average."""
+    shares = np.array([solid_shares(tmp_path, 1.0, seed) for seed in range(1, 9)])
+    mean = shares.mean(axis=0).max()
+    print(f"largest of 20 sectors of the labels: {shares.max():.2f} × the mean in one seed, {mean:.2f} × on average")
+    assert shares.max() <= 3.5
+    assert mean <= 1.6
+    assert solid_shares(tmp_path, 0.0, 1).max() > 3.5
+
+
 def test_isotropy_1_in_space_is_uniform_over_the_sphere(draw: DeviceGenerator) -> None:
     """Kernels of a block of 40 periods, eight seeds: 20 equal-area sectors of the half sphere by the same limits."""
     shares = []
@@ -181,10 +219,7 @@ def test_isotropy_1_in_space_is_uniform_over_the_sphere(draw: DeviceGenerator) -
         found = turned(
             np.tile([0.6, 0.0, 0.8], (count, 1)), np.ones(count), place, np.full(count, 0.5), 3, seed, draw
         )  # fmt: skip
-        line = found * np.where(found[:, 2:] < 0, -1, 1)
-        level = np.minimum((line[:, 2] * 4).astype(int), 3)  # four bands of the same height, five sectors in each
-        turn = (np.arctan2(line[:, 1], line[:, 0]) / (2 * np.pi) % 1 * 5).astype(int) % 5
-        shares.append(np.bincount(5 * level + turn, minlength=CAPS) / count * CAPS)
+        shares.append(cap_shares(found, np.ones(count)))
     found_shares = np.array(shares)
     mean = found_shares.mean(axis=0).max()
     print(f"largest of 20 sectors: {found_shares.max():.2f} × the mean in one seed, {mean:.2f} × on average")

@@ -265,10 +265,8 @@ def expression(text: str) -> Trap:
     what, column, _ = EXPRESSIONS[text]
     place = () if column is None else (f"(column {column})",)
     content = ratio(json.dumps({"expression": text})).encode()
-    return Trap(
-        f"expression: {ascii(text[:30])}", 3, ("error: fields.yaml, line ", "fields.ratio.expression: ", what, *place), None,
-        {"fields.yaml": content},
-    )  # fmt: skip
+    said = ("error: fields.yaml, line ", "fields.ratio.expression: ", what, *place)
+    return Trap(f"expression: {text[:30]!a}", 3, said, None, {"fields.yaml": content})
 
 
 EXPRESSION_TRAPS = [expression(text) for text in EXPRESSIONS]
