@@ -22,7 +22,7 @@ JOB = """\
 printer: {pitch_um: 200, layer_um: 250}
 materials: [rigid, flexible]
 pattern: {period: 1.0}
-fields: {ratio: 0.3, orientation: 20}
+fields: {ratio: 0.3, orientation: 25}
 """
 
 
