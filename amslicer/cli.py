@@ -191,7 +191,7 @@ def _slice_options(parser: argparse.ArgumentParser) -> None:
     job = _job_options(parser)
     job.add_argument("--format", metavar="F", help="output format: png")
     job.add_argument("--compression", choices=("fast", "small"), help="of the files; default: fast")
-    job.add_argument("--evaluate", choices=("lattice", "exact"), help="how G is computed; this version: always exact")
+    job.add_argument("--evaluate", choices=("lattice", "exact"), help="how G is computed (default: lattice)")
     run = parser.add_argument_group("how it is computed (changes no byte, but for the device)")
     run.add_argument("--layers", type=_layer_range, metavar="A:B", help="only these layers; half-open, like Python's")
     _device_options(run)

@@ -53,6 +53,13 @@ class Runs:
         lengths = self.stop - self.start
         return np.bincount(self.row // self.grid.rows, lengths, minlength=self.layers).astype(np.int64)
 
+    def part(self, first: int, end: int) -> Runs:
+        """Only the layers first … end - 1 of these."""
+        low, high = np.searchsorted(self.row, [first * self.grid.rows, end * self.grid.rows])
+        overlap = None if self.overlap_px is None else self.overlap_px[first:end]
+        row, start, stop = (a[low:high] for a in (self.row, self.start, self.stop))
+        return Runs(end - first, self.grid, row - first * self.grid.rows, start, stop, overlap)
+
     def solid(self) -> NDArray[np.bool_]:
         """(layers, rows, columns) pixels whose centre the mesh winds around, row 0 = lowest y."""
         change = np.zeros((self.layers * self.grid.rows, self.grid.columns + 1), np.int8)

@@ -18,6 +18,7 @@ from amslicer.device import Device
 from amslicer.errors import JobError, UsageError
 from amslicer.grid import Grid, cover
 from amslicer.holes import find_holes
+from amslicer.lattice import Lattice, choose_lattice
 from amslicer.layer import Layer
 from amslicer.mask import Slicer, join_runs, make_slicer
 from amslicer.mesh import Mesh, read_mesh
@@ -86,12 +87,13 @@ class Prepared:
     placement: Placement
     grid: Grid
     tiling: Tiling
+    lattice: Lattice | None
     slicer: Slicer
     painted: Painted
 
     def pattern(self, device: Device) -> Pattern:
         """The laminate, to be evaluated on a device."""
-        return Pattern(self.job, self.painted, self.grid, self.tiling, device)
+        return Pattern(self.job, self.painted, self.grid, self.tiling, self.lattice, device)
 
     def notes(self) -> list[str]:
         """What a person should know about the job, in sentences."""
@@ -117,10 +119,14 @@ def prepare(job: Job) -> Prepared:
     _refuse_isotropies(painted)
     if PROFILES[spec.pattern.profile].cyclic:
         refuse_lines(painted)
-    tiling = choose_tiling(grid, painted.period_bounds_mm[0])
+    lattice = None
+    if spec.pattern.evaluate == "lattice":
+        planar = spec.pattern.dimensions == 2
+        lattice = choose_lattice(grid, painted.period_bounds_mm, spec.pattern.bandwidth, planar=planar)
+    tiling = lattice.tiling if lattice else choose_tiling(grid, painted.period_bounds_mm[0])
     _refuse_many_kernels(job, make_noise(job, painted), grid, tiling, painted)
     slicer = make_slicer(vertices, mesh.triangles, grid, find_holes(mesh.rim, vertices, grid))
-    return Prepared(job, mesh, placement, grid, tiling, slicer, painted)
+    return Prepared(job, mesh, placement, grid, tiling, lattice, slicer, painted)
 
 
 def _refuse_huge(job: Job, side_mm: float) -> None:
@@ -170,12 +176,12 @@ def _refuse_many_kernels(job: Job, noise: Noise, grid: Grid, tiling: Tiling, pai
     """The kernels of one batch and their tables, counted before any is drawn."""
     reach, size = noise.radius_mm, painted.placement.size_mm
     width, depth = (float(v) + 2 * reach for v in size[:2])
-    height = 2 * reach + tiling.layers * grid.layer_mm if noise.dimensions == 3 else 1.0
+    height = 2 * reach + tiling.nodes[2].side_mm if noise.dimensions == 3 else 1.0
     shortest, longest = painted.period_bounds_mm
     period = painted.periods(sample_places(painted, longest).reshape(-1, 3))
     kernels = noise.density * width * depth * height * float(np.mean((shortest / period) ** noise.dimensions))
-    slots = 2 * reach / (tiling.pixels * min(grid.pitch_mm)) + 2
-    table_bytes = kernels * slots * tiling.pixels * 8
+    slots = 2 * reach / float(tiling.sides_mm.min()) + 2
+    table_bytes = kernels * slots * tiling.nodes[0].count * 8
     if kernels > MAX_KERNELS or table_bytes > MAX_TABLE_BYTES:
         raise JobError(
             f"the job is too large: with pattern.period {shortest:g} mm and bandwidth {job.spec.pattern.bandwidth} a "
@@ -263,30 +269,36 @@ def make_layers(
     """Batches of layers: masks in the pool's threads, then labels on the device."""
     grid = prepared.grid
     graded = len(prepared.painted.materials) - 1 if prepared.painted.ratio_depends_on_z else 0
-    for first, end in batches(chosen, grid, prepared.tiling, graded):
-        pieces = np.array_split(np.arange(first, end), min(threads, end - first))
-        parts = pool.map(lambda piece: prepared.slicer.runs(int(piece[0]), int(piece[-1]) + 1), pieces)
+    at_once = layers_at_once(grid, prepared.tiling, graded)
+    for first, end in pieces(chosen.start, chosen.stop, prepared.tiling.layers):
+        shares = np.array_split(np.arange(first, end), min(threads, end - first))
+        parts = pool.map(lambda share: prepared.slicer.runs(int(share[0]), int(share[-1]) + 1), shares)
         runs = join_runs(list(parts))
-        asked = pattern.asked(runs, first)
-        labels = pattern.labels(runs, first)
-        overlap = [0] * runs.layers if runs.overlap_px is None else runs.overlap_px.tolist()
-        yield [Made(_layer(prepared, first + i, layer), asked[i], overlap[i]) for i, layer in enumerate(labels)]
+        block = pattern.block(runs, first)
+        for low in range(first, end, at_once):
+            some = runs.part(low - first, min(end, low + at_once) - first)
+            asked = pattern.asked(some, low)
+            labels = block.labels(low, low + some.layers)
+            overlap = [0] * some.layers if some.overlap_px is None else some.overlap_px.tolist()
+            yield [Made(_layer(prepared, low + i, layer), asked[i], overlap[i]) for i, layer in enumerate(labels)]
 
 
-def batches(chosen: range, grid: Grid, tiling: Tiling, graded: int) -> Iterator[tuple[int, int]]:
-    """Half-open runs of layers, none across a border of tiles, each within the memory bound.
+def pieces(first: int, end: int, size: int) -> Iterator[tuple[int, int]]:
+    """Half-open ranges that cut first … end - 1 at the multiples of size."""
+    while first < end:
+        border = min(end, (first // size + 1) * size)
+        yield first, border
+        first = border
+
+
+def layers_at_once(grid: Grid, tiling: Tiling, graded: int) -> int:
+    """How many layers of a block are labelled at a time, within the memory bound.
 
     Args:
         graded: cumulative ratios that change from layer to layer.
     """
     bytes_per_pixel = MASK_BYTES + GRADED_BYTES * graded
-    at_once = max(1, min(tiling.layers, BATCH_BYTES // (bytes_per_pixel * grid.columns * grid.rows)))
-    first = chosen.start
-    while first < chosen.stop:
-        border = (first // tiling.layers + 1) * tiling.layers
-        end = min(chosen.stop, border, first + at_once)
-        yield first, end
-        first = end
+    return max(1, min(tiling.layers, BATCH_BYTES // (bytes_per_pixel * grid.columns * grid.rows)))
 
 
 def _layer(prepared: Prepared, index: int, labels: NDArray[np.uint8]) -> Layer:

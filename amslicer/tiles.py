@@ -1,8 +1,8 @@
 """Tiles of pixels, and which kernels reach each: the work layout of the evaluation.
 
-Tiles are square in pixels and some layers high, counted from the part's corner, so that nothing about how
-a job is cut up can change them. Each tile has a reference normal: a kernel whose painted normal points
-against it is taken with the opposite sign, -n and -φ, so that all kernels of a tile agree (a laminate's normal
+Tiles are boxes of pixels and layers, counted from the part's corner, so that nothing about how a job is cut up can
+change them. G is evaluated at the nodes of a tile. Each tile has a reference normal: a kernel whose painted normal
+points against it is taken with the opposite sign, -n and -φ, so that all kernels of a tile agree (a laminate's normal
 is a line; the sign would otherwise show in Im G).
 """
 
@@ -33,24 +33,63 @@ SIGN_BIT = np.uint32(0x80000000)  # cl/tile.h: the kernel is taken with the oppo
 
 
 @dataclass(frozen=True)
-class Tiling:
-    """The size of a job's tiles.
+class Nodes:
+    """Where G is evaluated along one axis of a tile: at its pixels (or layers), or on a lattice that covers them.
 
     Attributes:
-        pixels: side in pixels, along x and y.
-        layers: height in layers.
+        count: how many.
+        step_mm: from one to the next.
+        start_mm: the first one, from the tile's lower side.
+        side_mm: of the tile.
     """
 
-    pixels: int
-    layers: int
+    count: int
+    step_mm: float
+    start_mm: float
+    side_mm: float
 
-    def block_middle_mm(self, layer: int, layer_mm: float) -> float:
-        """Mid-height of the tiles that hold a layer."""
-        return (layer // self.layers + 0.5) * self.layers * layer_mm
+    @property
+    def end_mm(self) -> float:
+        """The last one, from the tile's lower side."""
+        return self.start_mm + (self.count - 1) * self.step_mm
+
+
+def pixel_nodes(pixels: int, pitch_mm: float) -> Nodes:
+    """The centres of a tile's pixels or layers."""
+    return Nodes(pixels, pitch_mm, pitch_mm / 2, pixels * pitch_mm)
+
+
+@dataclass(frozen=True)
+class Tiling:
+    """A job's tiles, and the nodes in them where G is evaluated.
+
+    Attributes:
+        pixels: sides along x and y in pixels.
+        layers: height in layers: a block of layers is one layer of tiles.
+        nodes: along x, y and z; as many along y as along x.
+    """
+
+    pixels: tuple[int, int]
+    layers: int
+    nodes: tuple[Nodes, Nodes, Nodes]
+
+    @property
+    def sides_mm(self) -> Floats:
+        """(2,) along x and y."""
+        return np.array([self.nodes[0].side_mm, self.nodes[1].side_mm])
+
+    @property
+    def outside_mm(self) -> float:
+        """How far nodes lie outside their tile, in x or y."""
+        return max(0.0, *(-nodes.start_mm for nodes in self.nodes[:2]))
+
+    def over(self, grid: Grid) -> tuple[int, int]:
+        """Rows and columns of tiles that cover the part."""
+        return -(-grid.rows // self.pixels[1]), -(-grid.columns // self.pixels[0])
 
 
 def choose_tiling(grid: Grid, period_mm: float) -> Tiling:
-    """The largest tiles of at most TILE_PERIODS periods (or the smallest there are).
+    """Square tiles with a node at each pixel: the largest of at most TILE_PERIODS periods (or the smallest there are).
 
     Args:
         period_mm: the finest period of the job.
@@ -58,7 +97,8 @@ def choose_tiling(grid: Grid, period_mm: float) -> Tiling:
     largest = TILE_PERIODS * period_mm
     pixels = next((n for n in TILE_PIXELS if n * max(grid.pitch_mm) <= largest), TILE_PIXELS[-1])
     layers = next((n for n in TILE_LAYERS if n * grid.layer_mm <= largest), TILE_LAYERS[-1])
-    return Tiling(pixels, layers)
+    x, y = (pixel_nodes(pixels, pitch) for pitch in grid.pitch_mm)
+    return Tiling((pixels, pixels), layers, (x, y, pixel_nodes(layers, grid.layer_mm)))
 
 
 @dataclass(frozen=True)
@@ -96,12 +136,12 @@ class Reach:
         return np.concatenate([[0], np.cumsum(self.last - self.first + 1)])
 
 
-def reach(kernels: Kernels, axis: int, side: float) -> Reach:
-    """Which tiles along x (0) or y (1), `side` mm long, the kernels reach."""
+def reach(kernels: Kernels, axis: int, nodes: Nodes) -> Reach:
+    """Which tiles along x (0) or y (1) have nodes that the kernels reach; each kernel is given one at least."""
     centre = kernels.centre_mm[:, axis]
-    first = np.floor((centre - kernels.radius_mm) / side).astype(np.int64)
-    last = np.floor((centre + kernels.radius_mm) / side).astype(np.int64)
-    return Reach(first, last, centre - first * side)
+    first = np.ceil((centre - kernels.radius_mm - nodes.end_mm) / nodes.side_mm).astype(np.int64)
+    last = np.floor((centre + kernels.radius_mm - nodes.start_mm) / nodes.side_mm).astype(np.int64)
+    return Reach(first, np.maximum(first, last), centre - first * nodes.side_mm)
 
 
 def tile_lists(
@@ -138,18 +178,17 @@ def tile_lists(
     return TileLists(tiles, matrix.indptr.astype(np.uint32), matrix.data.astype(np.uint32))
 
 
-def needed_tiles(runs: Runs, tile: int, rows: int) -> tuple[NDArray[np.int32], NDArray[np.uint8]]:
+def needed_tiles(runs: Runs, tiling: Tiling, rows: int) -> tuple[NDArray[np.int32], NDArray[np.uint8]]:
     """The tiles with at least one solid pixel, and which of their rows are needed in each layer.
 
     Args:
-        tile: side of a tile in pixels, at most 8 × rows.
-        rows: pixel rows that one bit stands for.
+        rows: pixel rows that one bit stands for; at most 8 bits make a tile.
 
     Returns:
         (T, 2) column and row of the tiles, by rows; (T, layers) bits, the lowest for a tile's first rows.
     """
-    down, across = tiles_over(runs.grid, tile)
-    groups = tile // rows
+    down, across = tiling.over(runs.grid)
+    tile, groups = tiling.pixels[0], tiling.pixels[1] // rows
     change = np.zeros((runs.layers, down * groups, across + 1), np.int32)
     layer, row = np.divmod(runs.row, runs.grid.rows)
     np.add.at(change, (layer, row // rows, runs.start // tile), 1)
@@ -164,8 +203,3 @@ def all_tiles(first: tuple[int, int], end: tuple[int, int]) -> NDArray[np.int32]
     """(T, 2) column and row of every tile from first up to, not including, end (column, row), by rows."""
     columns, rows = np.arange(first[0], end[0]), np.arange(first[1], end[1])
     return np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2).astype(np.int32)
-
-
-def tiles_over(grid: Grid, tile: int) -> tuple[int, int]:
-    """Rows and columns of tiles that cover the part."""
-    return -(-grid.rows // tile), -(-grid.columns // tile)

@@ -1,5 +1,5 @@
 // G as a sum of rank-1 products: G[y, x] = Σ_j Z_j · Y[y, j] · X[j, x] over the kernels that reach a tile.
-// No transcendental in here: four fused multiply-adds per pixel and kernel.
+// No transcendental in here: four fused multiply-adds per node and kernel.
 
 #include "tile.h"
 
@@ -20,9 +20,9 @@
         }                                                                   \
     }
 
-// field, of the tiles from first_tile on: [layer][tile][row][2][TILE], real parts before imaginary parts; tiles:
-// (column, row) of each tile; needed: [tile][layer], one bit for each ROWS rows of it that anybody wants;
-// entries[starts[t] .. starts[t + 1]): its kernels in order; along_z: [layer][kernel] complex, random phase included.
+// field, of the tiles from first_tile on: [plane][tile][row][2][TILE], real parts before imaginary parts; tiles:
+// (column, row) of each tile; needed: [tile][plane], one bit for each ROWS rows of it that anybody wants;
+// entries[starts[t] .. starts[t + 1]): its kernels in order; along_z: [plane][kernel] complex, random phase included.
 __attribute__((reqd_work_group_size(1, 1, 1)))
 kernel void rank1(global float *restrict field, global const int2 *restrict tiles,
                   global const uchar *restrict needed, global const uint *restrict starts,
@@ -31,10 +31,10 @@ kernel void rank1(global float *restrict field, global const int2 *restrict tile
                   global const Axis *restrict axes_y, global const float2 *restrict along_z,
                   const uint kernel_count, const uint first_tile)
 {
-    // Layers first: a tile's tables stay in the cache while its layers are made.
-    const uint layer = (uint)get_global_id(0);
+    // Planes first: a tile's tables stay in the cache while its planes are made.
+    const uint plane = (uint)get_global_id(0);
     const uint tile_index = first_tile + (uint)get_global_id(1);
-    const uint wanted = needed[tile_index * get_global_size(0) + layer];
+    const uint wanted = needed[tile_index * get_global_size(0) + plane];
     if (wanted == 0) return;
     const int2 tile = tiles[tile_index];
 
@@ -51,8 +51,8 @@ kernel void rank1(global float *restrict field, global const int2 *restrict tile
         int same = 0, opposite = BLOCK;
         for (uint e = begin; e < min(begin + BLOCK, end); ++e) {
             const uint j = KERNEL_OF(entries[e]);
-            const float2 z = along_z[(size_t)layer * kernel_count + j];
-            if (z.x == 0.0f && z.y == 0.0f) continue;      // does not reach this layer
+            const float2 z = along_z[(size_t)plane * kernel_count + j];
+            if (z.x == 0.0f && z.y == 0.0f) continue;      // does not reach this plane
             const int k = IS_OPPOSITE(entries[e]) ? --opposite : same++;
             const size_t slot_x = (size_t)axes_x[j].table + (size_t)(tile.x - axes_x[j].tile);
             const size_t slot_y = (size_t)axes_y[j].table + (size_t)(tile.y - axes_y[j].tile);
@@ -82,7 +82,7 @@ kernel void rank1(global float *restrict field, global const int2 *restrict tile
         }
     }
 
-    global floatV *out = (global floatV *)(field + ((size_t)layer * get_global_size(1) + get_global_id(1)) * TILE * TILE * 2);
+    global floatV *out = (global floatV *)(field + ((size_t)plane * get_global_size(1) + get_global_id(1)) * TILE * TILE * 2);
     for (int r = 0; r < TILE; ++r)
         for (int part = 0; part < 2; ++part)
             for (int v = 0; v < VECTORS; ++v) out[(r * 2 + part) * VECTORS + v] = sum[r][part][v];

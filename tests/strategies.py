@@ -147,9 +147,11 @@ def ratios(names: list[str]) -> SearchStrategy[Field]:
 
 
 def printers() -> SearchStrategy[dict[str, Any]]:
-    """Coarse, so that parts of some millimetres are quick."""
-    pitch = st.sampled_from([{"pitch_um": 250}, {"pitch_um": [200, 300]}, {"dpi": 100}, {"dpi": [120, 80]}])
-    layer = st.sampled_from([{"layer_mm": 0.3}, {"layer_um": 410}])
+    """Coarse, so that parts of some millimetres are quick; the finest have a lattice."""
+    pitch = st.sampled_from(
+        [{"pitch_um": 250}, {"pitch_um": [200, 300]}, {"dpi": 100}, {"dpi": [120, 80]}, {"dpi": 500}]
+    )
+    layer = st.sampled_from([{"layer_mm": 0.3}, {"layer_um": 410}, {"layer_um": 90}])
     margin = st.sampled_from([{}, {"margin_px": 0}, {"margin_px": 3}])
     return st.tuples(pitch, layer, margin).map(lambda parts: {k: v for part in parts for k, v in part.items()})
 

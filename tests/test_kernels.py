@@ -21,7 +21,6 @@ from amslicer.generator import DeviceGenerator
 from amslicer.noise import turn
 from amslicer.profile import PROFILES
 from amslicer.resources import resource_folder
-from amslicer.tiles import Tiling
 
 Floats = NDArray[np.float64]
 Kernels = tuple[NDArray[np.float32], ...]
@@ -32,6 +31,7 @@ SIZES = [1, 2, 13, 63, 65, 127, 257]  # one, primes, and either side of powers o
 FILES = sorted(resource_folder("cl").glob("*.cl"))
 # Tile sides and vector widths that work together; the first is what most jobs on most CPUs use.
 SHAPES = [(32, 8), (32, 16), (16, 8), (16, 16), (8, 8)]
+TAPS = {"TAPS_X": 9, "TAPS_Y": 6, "TAPS_Z": 6}  # of cl/interpolate.cl
 
 
 def zeroed(device: Device, nbytes: int) -> Any:
@@ -48,7 +48,7 @@ def device() -> Iterator[Device]:
 
 def constants(device: Device, shape: tuple[int, int]) -> dict[str, int]:
     """The macros of cl/tile.h for a tile side and a vector width."""
-    return {**work_shape(device, Tiling(shape[0], 16)), "VECTOR": shape[1]}
+    return {**work_shape(device, shape[0]), "VECTOR": shape[1]}
 
 
 def assert_close(got: NDArray[np.complex64], expected: NDArray[np.complex128], bound: Floats) -> None:
@@ -91,20 +91,29 @@ def rounding(d: Floats, magnitude: Floats, wave: Floats, decay: Floats) -> Float
 
 
 def is_tiled(file: Path) -> bool:
-    return '#include "tile.h"' in file.read_text(encoding="utf-8")
+    source = file.read_text(encoding="utf-8")
+    return '#include "tile.h"' in source or '#include "labels.h"' in source
 
 
 @pytest.mark.parametrize("file", FILES, ids=lambda f: f.stem)
 def test_each_file_builds_alone(device: Device, file: Path) -> None:
     """With the constants that tile.h asks for, for every shape, or with none where a file does not include it."""
-    for macros in [constants(device, shape) for shape in SHAPES] if is_tiled(file) else [{}]:
+    for macros in [{**constants(device, shape), **TAPS} for shape in SHAPES] if is_tiled(file) else [{}]:
         assert device.kernel(file.stem, macros).function_name == file.stem
 
 
 def test_every_file_is_tried() -> None:
-    assert {"along_z", "fill", "impulses", "normal_fields", "per_pixel", "profile", "rank1", "tables"} <= {
-        f.stem for f in FILES
-    }
+    assert {
+        "along_z",
+        "fill",
+        "impulses",
+        "interpolate",
+        "normal_fields",
+        "per_pixel",
+        "profile",
+        "rank1",
+        "tables",
+    } <= {f.stem for f in FILES}
 
 
 @pytest.mark.parametrize("shape", SHAPES, ids=str)
@@ -120,7 +129,8 @@ def test_tables(device: Device, count: int, shape: tuple[int, int]) -> None:
     buffer = device.empty(got.nbytes)
     device.kernel("tables", constants(device, shape))(
         device.queue, (count,), (1,), buffer, device.buffer(axes),
-        device.buffer(np.stack([decay, radius], axis=-1)), pitch,
+        device.buffer(np.stack([decay, radius], axis=-1)),
+        np.array([pitch, pitch / 2, shape[0] * pitch, 0], np.float32),
     )  # fmt: skip
     device.read(buffer, got)
     got_complex = (got[:, :, 0] + 1j * got[:, :, 1]).reshape(count, pixels)

@@ -166,7 +166,7 @@ def make_job(case: Case, folder: Path) -> amslicer.Job:
         period = {"gradient": {"axis": "x", "from": period, "to": float(case.period_end)}}
     pattern = {
         "dimensions": case.dimensions, "period": period, "bandwidth": float(case.bandwidth),
-        "seed": case.seed, "profile": case.profile, "edges": case.edges,
+        "seed": case.seed, "profile": case.profile, "edges": case.edges, "evaluate": "exact",
     }  # fmt: skip
     ratio: Any = {"gradient": {"axis": "y", "from": RATIO_ENDS[0], "to": RATIO_ENDS[1]}}
     names = [f"m{i}" for i in range(case.materials)]
@@ -216,7 +216,7 @@ def tile_centres(case: Case, prepared: Prepared) -> Floats:
     """(height, width, 3) centre of the tile, counted from the part's corner, that each pixel is in."""
     tiling, pitch = prepared.tiling, 25.4 / np.array(case.dpi)
     column, row = (np.arange(-case.margin_px, n + case.margin_px) for n in (prepared.grid.columns, prepared.grid.rows))
-    x, y = ((i // tiling.pixels + 0.5) * (tiling.pixels * p) for i, p in ((column, pitch[0]), (row, pitch[1])))
+    x, y = ((i // tiling.pixels[0] + 0.5) * (tiling.pixels[0] * p) for i, p in ((column, pitch[0]), (row, pitch[1])))
     z = (case.layer // tiling.layers + 0.5) * tiling.layers * case.layer_mm
     return np.stack(np.broadcast_arrays(x[None, :], y[:, None], z), axis=-1)
 

@@ -123,12 +123,13 @@ def test_pieces_have_the_bytes_of_the_whole(tmp_path: Path, block: Path) -> None
 
 
 def test_a_batch_of_any_size_has_the_same_bytes(tmp_path: Path, block: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from amslicer import pattern, pipeline
+    from amslicer import block as blocks
+    from amslicer import pipeline
 
     job = block_job(block)
     amslicer.slice_job(job, tmp_path / "large")
     monkeypatch.setattr(pipeline, "BATCH_BYTES", 1)
-    monkeypatch.setattr(pattern, "FIELD_BYTES", 1)
+    monkeypatch.setattr(blocks, "FIELD_BYTES", 1)
     amslicer.slice_job(job, tmp_path / "small")
     assert files(tmp_path / "large") == files(tmp_path / "small")
 

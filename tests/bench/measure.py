@@ -66,25 +66,26 @@ def forms(dimensions: int) -> dict[str, Any]:
         trimesh.creation.box((20, 20, 4)).export(part)
         content = {
             "materials": ["a", "b"],
-            "pattern": {"dimensions": dimensions},
+            "pattern": {"dimensions": dimensions, "evaluate": "exact"},
             "fields": {"ratio": 0.3, "orientation": 30},
         }
         prepared = prepare(amslicer.load_job(content, part))
         with Device() as device:
             pattern = prepared.pattern(device)
-            from amslicer.tiles import all_tiles, tiles_over
+            from amslicer.tiles import all_tiles
 
-            rows, columns = tiles_over(prepared.grid, prepared.tiling.pixels)
+            tiling = prepared.tiling
+            rows, columns = tiling.over(prepared.grid)
             layers = 16 if dimensions == 3 else 1
-            evaluator = pattern._evaluator(64, layers, all_tiles((0, 0), (columns, rows)))
-            pixels = evaluator.floats_per_layer // 2 * layers
-            evaluations = len(evaluator.lists.entries) * prepared.tiling.pixels**2 * layers
+            evaluator = pattern.evaluator(tiling, 4, all_tiles((0, 0), (columns, rows)))
+            pixels = evaluator.floats_per_plane // 2 * layers
+            evaluations = len(evaluator.lists.entries) * tiling.nodes[0].count ** 2 * layers
             result: dict[str, Any] = {"kernels_per_pixel": evaluations / pixels}
             for name, enqueue, count in (
                 ("rank1", evaluator.field, layers),
                 ("per_pixel", evaluator.field_per_pixel, 1),
             ):
-                seconds = repeat(lambda e=enqueue, n=count: (e(64, n), device.queue.finish())) * layers / count
+                seconds = repeat(lambda e=enqueue, n=count: (e(0, n), device.queue.finish())) * layers / count
                 result[name] = {"mpx_s": pixels / seconds / 1e6, "g_evaluations_s": evaluations / seconds / 1e9}
     return result
 

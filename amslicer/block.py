@@ -1,0 +1,166 @@
+"""Labels of the layers in one layer of tiles: their kernels and G are made once and shared by all of them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from amslicer.evaluator import ROWS, Evaluator, work_shape
+from amslicer.tiles import needed_tiles
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from amslicer.lattice import Lattice
+    from amslicer.mask import Runs
+    from amslicer.pattern import Pattern
+
+FIELD_BYTES = 32 << 20  # G at the pixels of some tiles at a time, within a processor's cache
+ROW_GROUPS = 8  # of a tile on a lattice: bits that say which have solid pixels (cl/interpolate.cl)
+EDGES = (1 << 30) + (1 << 29)  # fourth word of the counters of dithered edges, which no noise uses (noise/kernels.py)
+
+
+@dataclass(frozen=True)
+class PlanarField:
+    """G of a 2D pattern: evaluated once for all tiles, the same for all layers."""
+
+    buffer: Any
+    slot_of_tile: NDArray[np.uint32]
+
+
+class Block:
+    """The layers of one layer of tiles that a run makes. One block of a device at a time.
+
+    Args:
+        pattern: the part's.
+        runs: the solid pixels of all these layers.
+        first: index of the first of them.
+    """
+
+    def __init__(self, pattern: Pattern, runs: Runs, first: int) -> None:
+        self._pattern, self._device = pattern, pattern.device
+        self._runs, self._first = runs, first
+        self._number, self._in_block = divmod(first, pattern.tiling.layers)
+        rows = ROWS if pattern.lattice is None else pattern.tiling.pixels[1] // ROW_GROUPS
+        self._tiles, self._needed = needed_tiles(runs, pattern.tiling, rows)
+        self._waves = pattern.waves(self._tiles, self._number)
+        self._kept_evaluator: Evaluator | None = None
+        self._slab: tuple[Any, int] | None = None
+
+    def labels(self, first: int, end: int) -> NDArray[np.uint8]:
+        """Labels of the layers first … end - 1, which are some of the block's: 0 empty, m = material m.
+
+        Returns:
+            (layers, rows, columns) uint8, row 0 = lowest y.
+        """
+        pattern, device = self._pattern, self._device
+        rows, columns = pattern.padded
+        labels = np.zeros((end - first, rows, columns), np.uint8)
+        if len(self._tiles):
+            solid, out = self._solid(first, end), device.scratch("labels", labels.nbytes)
+            device.fill_zeros(out, labels.nbytes)
+            make = self._from_pixels if pattern.lattice is None else self._from_lattice
+            make(out, solid, first, end)
+            device.read(out, labels)
+        pattern.forget_ratios()
+        return labels[:, : pattern.grid.rows, : pattern.grid.columns]
+
+    @property
+    def _evaluator(self) -> Evaluator:
+        if self._kept_evaluator is None:
+            self._kept_evaluator = self._pattern.evaluator(self._pattern.tiling, self._number, self._tiles)
+        return self._kept_evaluator
+
+    def _needed_in(self, first: int, end: int) -> NDArray[np.uint8]:
+        return np.ascontiguousarray(self._needed[:, first - self._first : end - self._first])
+
+    def _from_pixels(self, out: Any, solid: Any, first: int, end: int) -> None:
+        """Enqueues labels of tiles whose nodes are their pixels."""
+        pattern, device, tiles = self._pattern, self._device, self._tiles
+        tile, count = pattern.tiling.pixels[0], end - first
+        planar = pattern.planar_field() if pattern.planar else None
+        # Few enough tiles at a time for their G to stay in the cache between the noise and the profile.
+        layers = 1 if planar else count
+        at_once = max(1, FIELD_BYTES // (8 * tile * tile * layers))
+        needed = device.buffer(self._needed_in(first, end))
+        graded = list(pattern.threshold_buffers(first, count))
+        for start in range(0, len(tiles), at_once):
+            some = tiles[start : start + at_once]
+            if planar:
+                field, slots = planar.buffer, planar.slot_of_tile[some[:, 1], some[:, 0]]
+            else:
+                in_block = self._in_block + first - self._first
+                field, slots = self._evaluator.field(in_block, count, range(start, start + len(some)), needed)
+            buffers = device.buffer(some), device.buffer(slots)
+            waves = device.buffer(self._waves[start : start + at_once])
+            field_tiles = np.uint32(planar.slot_of_tile.size if planar else len(some))
+            for layer, some_layers, thresholds in graded:
+                device.kernel("profile", self._macros(tile))(
+                    device.queue, (tile, len(some), some_layers), (tile, 1, 1), out, field, solid, thresholds,
+                    *buffers, *self._materials(), field_tiles, np.uint32(layers), np.uint32(layer), waves,
+                    *self._edges(first + layer),
+                )  # fmt: skip
+
+    def _from_lattice(self, out: Any, solid: Any, first: int, end: int) -> None:
+        """Enqueues labels of tiles whose pixels are interpolated from their nodes."""
+        pattern, device, tiles, lattice = self._pattern, self._device, self._tiles, self._pattern.lattice
+        assert lattice is not None
+        if pattern.planar:
+            planar = pattern.planar_field()
+            field, first_plane, field_tiles = planar.buffer, 0, planar.slot_of_tile.size
+            slots = planar.slot_of_tile[tiles[:, 1], tiles[:, 0]]
+        else:
+            field, first_plane = self._slab_of(lattice)
+            field_tiles, slots = len(tiles), np.arange(len(tiles), dtype=np.uint32)
+        needed = device.buffer(self._needed_in(first, end))
+        buffers, waves = (device.buffer(tiles), device.buffer(slots)), device.buffer(self._waves)
+        x, y, z = lattice.by_vector(device)
+        taps = {"TAPS_X": x.count, "TAPS_Y": y.count, "TAPS_Z": z.count}
+        for layer, count, thresholds in pattern.threshold_buffers(first, end - first):
+            device.kernel("interpolate", {**self._macros(lattice.tiling.nodes[0].count), **taps})(
+                device.queue, (count, len(tiles)), (1, 1), out, field, solid, thresholds, *buffers,
+                *self._materials(), np.uint32(field_tiles), needed, np.uint32(end - first), np.uint32(layer), waves,
+                *self._edges(first + layer), np.array(lattice.tiling.pixels, np.int32), np.uint32(first_plane),
+                np.uint32(self._in_block + first + layer - self._first), *pattern.taps(),
+            )  # fmt: skip
+
+    def _slab_of(self, lattice: Lattice) -> tuple[Any, int]:
+        """G at the nodes of all tiles, on the planes that the block's layers take; number of the first plane."""
+        if self._slab is None:
+            z = lattice.taps[2]
+            low = int(z.first[self._in_block])
+            high = int(z.first[self._in_block + self._runs.layers - 1]) + z.count
+            out = self._device.scratch("slab", 4 * self._evaluator.floats_per_plane * (high - low))
+            self._evaluator.field(low, high - low, out=out)
+            self._slab = out, low
+        return self._slab
+
+    def _macros(self, nodes: int) -> dict[str, int]:
+        pattern = self._pattern
+        return {
+            **work_shape(self._device, nodes), "CYCLIC": pattern.profile.cyclic, "DITHERED": pattern.dithered,
+        }  # fmt: skip
+
+    def _materials(self) -> tuple[Any, Any]:
+        return np.uint32(len(self._pattern.painted.materials) - 1), np.array(self._pattern.padded[::-1], np.uint32)
+
+    def _edges(self, layer: int) -> tuple[Any, ...]:
+        return self._pattern.seed, np.uint32(EDGES), np.uint32(layer), np.uint32(self._pattern.planar)
+
+    def _solid(self, first: int, end: int) -> Any:
+        """The solid pixels as a device buffer: uint8 [layers][padded rows][padded columns]."""
+        grid, (rows, columns) = self._pattern.grid, self._pattern.padded
+        runs = self._runs.part(first - self._first, end - self._first)
+        size = runs.layers * rows * columns
+        solid = self._device.scratch("solid", size)
+        self._device.fill_zeros(solid, size)
+        total = runs.layers * grid.rows
+        starts = np.searchsorted(runs.row, np.arange(total + 1)).astype(np.uint32)
+        pairs = np.stack([runs.start, runs.stop], axis=-1).astype(np.int32)
+        self._device.run(
+            self._device.kernel("fill"), total, solid, self._device.buffer(starts), self._device.buffer(pairs),
+            np.uint32(columns), np.uint32(grid.rows), np.uint32(rows), np.uint32(total),
+        )  # fmt: skip
+        return solid

@@ -1,0 +1,68 @@
+// From G on a tile's lattice to material labels: interpolated along z, then y, then x, with the threshold as the last step.
+
+#include "labels.h"
+
+#define VECTORS (TILE / VECTOR)
+
+// The host defines the nodes that a pixel takes along y and z, TAPS_Y and TAPS_Z, and a vector of pixels along x, TAPS_X.
+// field as rank1.cl leaves it, its first plane being number first_plane of the block; first_*, weights_*: taps of a tile's
+// layers, rows, and vectors of columns; pixels: of a tile along x and y; needed: [tile][layer], one bit for each group of
+// rows that has solid pixels; in_block: number of the first layer in its block. The rest as in profile.cl.
+__attribute__((reqd_work_group_size(1, 1, 1)))
+kernel void interpolate(global uchar *restrict labels, global const float *restrict field,
+                        global const uchar *restrict solid, global const float *restrict thresholds,
+                        global const int2 *restrict tiles, global const uint *restrict slots,
+                        const uint planes, const uint2 padded, const uint field_tiles,
+                        global const uchar *restrict needed, const uint needed_layers, const uint first,
+                        global const float4 *restrict waves,
+                        const uint2 seed, const uint number, const uint first_layer, const uint planar,
+                        const int2 pixels, const uint first_plane, const uint in_block,
+                        global const int *restrict first_z, global const float *restrict weights_z,
+                        global const int *restrict first_y, global const float *restrict weights_y,
+                        global const int *restrict first_x, global const float *restrict weights_x)
+{
+    const uint layer = (uint)get_global_id(0);
+    const uint tile_index = (uint)get_global_id(1);
+    const uint wanted = needed[tile_index * needed_layers + first + layer];
+    if (wanted == 0) return;
+    const int2 corner = tiles[tile_index] * pixels;
+    const Profile profile = {thresholds, planes, padded, seed, number, planar};
+    const float4 wave = waves[tile_index];
+
+    floatV plane[TILE][2][VECTORS];
+    global const float *z = weights_z + (in_block + layer) * TAPS_Z;
+    const size_t of_plane = (size_t)field_tiles * TILE * 2 * VECTORS;
+    global const floatV *below = (global const floatV *)field + (size_t)slots[tile_index] * TILE * 2 * VECTORS
+                                 + ((size_t)first_z[in_block + layer] - first_plane) * of_plane;
+    for (int i = 0; i < TILE * 2 * VECTORS; ++i) {
+        floatV sum = z[0] * below[i];
+        for (int k = 1; k < TAPS_Z; ++k) sum = fma((floatV)z[k], below[k * of_plane + i], sum);
+        ((floatV *)plane)[i] = sum;
+    }
+
+    const int group = pixels.y / 8;
+    for (int row = 0; row < pixels.y; ++row) {
+        if (!(wanted >> (row / group) & 1u)) continue;
+        floatV line[2][VECTORS];
+        global const float *y = weights_y + row * TAPS_Y;
+        for (int i = 0; i < 2 * VECTORS; ++i) {
+            const floatV *nodes = (const floatV *)plane[first_y[row]] + i;
+            floatV sum = y[0] * nodes[0];
+            for (int k = 1; k < TAPS_Y; ++k) sum = fma((floatV)y[k], nodes[k * 2 * VECTORS], sum);
+            ((floatV *)line)[i] = sum;
+        }
+        const uint down = (uint)(corner.y + row);
+        const size_t here = ((size_t)(first + layer) * padded.y + down) * padded.x + (size_t)corner.x;
+        for (int v = 0; v < pixels.x / VECTOR; ++v) {
+            global const floatV *x = (global const floatV *)weights_x + v * TAPS_X;
+            const float *nodes = (const float *)line + first_x[v];
+            floatV re = x[0] * nodes[0], im = x[0] * nodes[TILE];
+            for (int k = 1; k < TAPS_X; ++k) {
+                re = fma(x[k], (floatV)nodes[k], re);
+                im = fma(x[k], (floatV)nodes[TILE + k], im);
+            }
+            label(re, im, solid + here + v * VECTOR, labels + here + v * VECTOR, profile, corner.x + v * VECTOR, down,
+                  first_layer + layer, wave);
+        }
+    }
+}

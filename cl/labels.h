@@ -1,0 +1,77 @@
+// From G to material labels: 0 where the part is not solid, else 1 + the number of thresholds that the phase
+// is beyond. A threshold is the profile's key (amslicer/profile.py) at a cumulative ratio; beyond 1 or -3 it is a plain
+// fill. The host defines CYCLIC, and DITHERED: each pixel reads the phase at a random place within itself.
+
+#ifndef AMSLICER_LABELS_H
+#define AMSLICER_LABELS_H
+
+#include "tile.h"
+#if DITHERED
+#include "hash_vector.h"
+#endif
+
+#define intV CAT(int, VECTOR)
+#define ucharV CAT(uchar, VECTOR)
+#define to_intV CAT(convert_int, VECTOR)
+#define to_ucharV CAT(convert_uchar, VECTOR)
+#define to_floatV CAT(convert_float, VECTOR)
+
+#if DITHERED
+// The phase from the pixel's centre to its random place: wave is rad per column, row and layer. The hash has 32 bits and
+// a float 24: uniform in (-½, ½) is enough.
+floatV jitter(const int column, const uint row, const uint layer, const float4 wave, const uint number, const uint2 seed)
+{
+    uintV words[4];
+    for (int i = 0; i < VECTOR; ++i) ((uint *)&words[0])[i] = (uint)(column + i);
+    words[1] = (uintV)row;
+    words[2] = (uintV)layer;
+    words[3] = (uintV)number;
+    philox4x32V(words, seed);
+    floatV phase = (floatV)0.0f;
+    const float along[3] = {wave.x, wave.y, wave.z};
+    for (int axis = 0; axis < 3; ++axis)
+        phase = fma((floatV)along[axis], fma(to_floatV(words[axis]), (floatV)0x1p-32f, (floatV)-0.5f), phase);
+    return phase;
+}
+#endif
+
+// What the pixels of a job share: thresholds: [planes][padded rows][padded columns]; padded: columns, rows; number and
+// seed: of the hash; planar: a 2D pattern's layers all count as the first.
+typedef struct {
+    global const float *thresholds;
+    uint planes;
+    uint2 padded;
+    uint2 seed;
+    uint number;
+    uint planar;
+} Profile;
+
+// Labels a vector of pixels of one row from G there; solid and labels: of these pixels; column, row: of the first of
+// them; wave: rad per column, row and layer; layer: the part's.
+void label(floatV re, floatV im, global const uchar *solid, global uchar *labels, const Profile profile,
+           const int column, const uint row, const uint layer, const float4 wave)
+{
+#if DITHERED
+    const floatV phase = jitter(column, row, profile.planar ? 0u : layer, wave, profile.number, profile.seed);
+    floatV cosine_of;
+    const floatV sine_of = sincos(phase, &cosine_of);
+    const floatV turned = fma(re, cosine_of, -im * sine_of);
+    im = fma(re, sine_of, im * cosine_of);
+    re = turned;
+#endif
+    const floatV power = fma(re, re, im * im);
+    floatV key = re * fabs(re);
+#if CYCLIC
+    key = select(key, -2.0f * power - key, im < 0.0f);
+#endif
+    const size_t place = (size_t)row * profile.padded.x + (size_t)column;
+    intV found = (intV)1;
+    for (uint p = 0; p < profile.planes; ++p) {
+        const floatV threshold = vloadV(0, profile.thresholds + (size_t)p * profile.padded.x * profile.padded.y + place);
+        found -= (threshold > 1.0f) | ((threshold >= -3.0f) & (key <= threshold * power));
+    }
+    const intV inside = to_intV(vloadV(0, solid)) != 0;
+    vstoreV(to_ucharV(found & inside), 0, labels);
+}
+
+#endif
