@@ -26,7 +26,7 @@ def forge(out: Path, change: Callable[[Labels], Labels]) -> None:
         labels = change(layer.labels)
         for number, name in enumerate(totals, 1):
             deposit = labels == number
-            content = encode_png(deposit, pitch, 1)
+            content = encode_png(deposit, pitch)
             (out / name / f"{layer.index:05d}.png").write_bytes(content)
             entry["sha256"][name] = hashlib.sha256(content).hexdigest()
             entry["pixels"][name] = int(deposit.sum())

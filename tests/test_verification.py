@@ -57,7 +57,7 @@ def rewrite(out: Path, change: Callable[[dict[str, Any]], None]) -> None:
 
 def replace_bitmap(out: Path, material: str, layer: int, deposit: np.ndarray[Any, Any]) -> None:
     """Puts another bitmap in place, hash and counts included."""
-    content = encode_png(deposit, PITCH_MM, 1)
+    content = encode_png(deposit, PITCH_MM)
     (out / material / f"{layer:05d}.png").write_bytes(content)
 
     def correct(manifest: dict[str, Any]) -> None:
