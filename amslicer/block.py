@@ -1,4 +1,4 @@
-"""Labels of the layers in one layer of tiles: their kernels and G are made once and shared by all of them."""
+"""Bitmaps of the layers in one layer of tiles: their kernels and G are made once and shared by all of them."""
 
 from __future__ import annotations
 
@@ -49,23 +49,24 @@ class Block:
         self._kept_evaluator: Evaluator | None = None
         self._slab: tuple[Any, int] | None = None
 
-    def labels(self, first: int, end: int) -> NDArray[np.uint8]:
-        """Labels of the layers first … end - 1, which are some of the block's: 0 empty, m = material m.
+    def deposits(self, first: int, end: int) -> NDArray[np.uint8]:
+        """Where each material is in the layers first … end - 1, which are some of the block's.
 
         Returns:
-            (layers, rows, columns) uint8, row 0 = lowest y.
+            (layers, materials, rows, bytes) uint8, a bit per pixel, the highest first, row 0 = lowest y.
         """
         pattern, device = self._pattern, self._device
         rows, columns = pattern.padded
-        labels = np.zeros((end - first, rows, columns), np.uint8)
+        shape = (end - first, len(pattern.painted.materials), rows, columns // 8)
+        bits = np.empty(shape, np.uint8) if len(self._tiles) else np.zeros(shape, np.uint8)
         if len(self._tiles):
-            solid, out = self._solid(first, end), device.scratch("labels", labels.nbytes)
-            device.fill_zeros(out, labels.nbytes)
+            solid, out = self._solid(first, end), device.scratch("deposits", bits.nbytes)
+            device.fill_zeros(out, bits.nbytes)
             make = self._from_pixels if pattern.lattice is None else self._from_lattice
             make(out, solid, first, end)
-            device.read(out, labels)
+            device.read(out, bits)
         pattern.forget_ratios()
-        return labels[:, : pattern.grid.rows, : pattern.grid.columns]
+        return bits[:, :, : pattern.grid.rows, : -(-pattern.grid.columns // 8)]
 
     @property
     def _evaluator(self) -> Evaluator:
@@ -77,7 +78,7 @@ class Block:
         return np.ascontiguousarray(self._needed[:, first - self._first : end - self._first])
 
     def _from_pixels(self, out: Any, solid: Any, first: int, end: int) -> None:
-        """Enqueues labels of tiles whose nodes are their pixels."""
+        """Enqueues bitmaps of tiles whose nodes are their pixels."""
         pattern, device, tiles = self._pattern, self._device, self._tiles
         tile, count = pattern.tiling.pixels[0], end - first
         planar = pattern.planar_field() if pattern.planar else None
@@ -104,7 +105,7 @@ class Block:
                 )  # fmt: skip
 
     def _from_lattice(self, out: Any, solid: Any, first: int, end: int) -> None:
-        """Enqueues labels of tiles whose pixels are interpolated from their nodes."""
+        """Enqueues bitmaps of tiles whose pixels are interpolated from their nodes."""
         pattern, device, tiles, lattice = self._pattern, self._device, self._tiles, self._pattern.lattice
         assert lattice is not None
         if pattern.planar:
@@ -150,10 +151,10 @@ class Block:
         return self._pattern.seed, np.uint32(EDGES), np.uint32(layer), np.uint32(self._pattern.planar)
 
     def _solid(self, first: int, end: int) -> Any:
-        """The solid pixels as a device buffer: uint8 [layers][padded rows][padded columns]."""
+        """The solid pixels as a device buffer: bits, uint8 [layers][padded rows][padded columns / 8]."""
         grid, (rows, columns) = self._pattern.grid, self._pattern.padded
         runs = self._runs.part(first - self._first, end - self._first)
-        size = runs.layers * rows * columns
+        size = runs.layers * rows * columns // 8
         solid = self._device.scratch("solid", size)
         self._device.fill_zeros(solid, size)
         total = runs.layers * grid.rows
@@ -161,6 +162,6 @@ class Block:
         pairs = np.stack([runs.start, runs.stop], axis=-1).astype(np.int32)
         self._device.run(
             self._device.kernel("fill"), total, solid, self._device.buffer(starts), self._device.buffer(pairs),
-            np.uint32(columns), np.uint32(grid.rows), np.uint32(rows), np.uint32(total),
+            np.uint32(columns // 8), np.uint32(grid.rows), np.uint32(rows), np.uint32(total),
         )  # fmt: skip
         return solid

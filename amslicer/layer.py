@@ -1,4 +1,4 @@
-"""One layer of a stack, whatever it came from or goes to."""
+"""One layer of a stack: labels to look at and work with, bitmaps as they are made and written."""
 
 from __future__ import annotations
 
@@ -45,3 +45,42 @@ class Layer:
     def pixels(self) -> dict[str, int]:
         """Pixels per material."""
         return {name: int(np.count_nonzero(self.labels == m)) for m, name in enumerate(self.materials, 1)}
+
+
+@dataclass(frozen=True, eq=False)
+class Bitmaps:
+    """A layer as a printer takes it: a bitmap for each material.
+
+    Attributes:
+        index, z_mm, materials: as of Layer.
+        width_px: pixels per row.
+        rows: (materials, height, bytes) uint8, row 0 = largest y; a bit per pixel, the highest first, 0 beyond the
+            width.
+    """
+
+    index: int
+    z_mm: float
+    materials: tuple[str, ...]
+    width_px: int
+    rows: NDArray[np.uint8]
+
+    def layer(self) -> Layer:
+        """The same as labels."""
+        bits = np.unpackbits(self.rows, axis=-1, count=self.width_px)
+        labels = np.zeros(bits.shape[1:], np.uint8)
+        for m, bit in enumerate(bits, 1):
+            labels += np.uint8(m) * bit
+        return Layer(self.index, self.z_mm, labels, self.materials)
+
+    def pixels(self) -> dict[str, int]:
+        """Pixels per material."""
+        return {
+            name: int(np.bitwise_count(rows).sum(dtype=np.int64))
+            for name, rows in zip(self.materials, self.rows, strict=True)
+        }
+
+
+def bitmaps_of(layer: Layer) -> Bitmaps:
+    """A layer's bitmaps."""
+    rows = np.stack([np.packbits(layer.labels == m, axis=1) for m in range(1, len(layer.materials) + 1)])
+    return Bitmaps(layer.index, layer.z_mm, layer.materials, layer.labels.shape[1], rows)

@@ -141,8 +141,9 @@ def laminate(view: View, run: Run) -> Iterator[Layer]:
         for index in sorted({int(share * count) for share in HEIGHTS}):
             for batch in make_layers(prepared, pattern, pool, range(index, index + 1), run.threads):
                 for made in batch:
-                    labels = view.crop(made.layer.labels[::-1])[::-1]
-                    yield replace(made.layer, labels=np.asarray(labels, np.uint8))
+                    layer = made.bitmaps.layer()
+                    labels = view.crop(layer.labels[::-1])[::-1]
+                    yield replace(layer, labels=np.asarray(labels, np.uint8))
 
 
 def outline(view: View) -> NDArray[np.bool_]:

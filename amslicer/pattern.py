@@ -40,10 +40,10 @@ def make_noise(job: Job, painted: Painted) -> Noise:
 
 
 class Pattern:
-    """Labels of the solid pixels of a part, block by block of layers, on an open device.
+    """The materials of the solid pixels of a part, block by block of layers, on an open device.
 
     Args:
-        tiling: the tiles that labels are made in.
+        tiling: the tiles that layers are made in.
         lattice: how their pixels come from their nodes; None where the nodes are the pixels.
     """
 
@@ -79,7 +79,7 @@ class Pattern:
         self._rectangle = low.min(axis=0) - tiling.outside_mm, high.max(axis=0) + tiling.outside_mm
 
     def block(self, runs: Runs, first: int) -> Block:
-        """The layers first, first + 1, …, which lie in one layer of tiles, ready to be labelled.
+        """The layers first, first + 1, …, which lie in one layer of tiles, ready to be made.
 
         Args:
             runs: their solid pixels.
@@ -111,14 +111,14 @@ class Pattern:
         return self._sums
 
     def ratio(self, layer: int) -> NDArray[np.float32]:
-        """(materials - 1, rows, columns) cumulative painted ratios; made once, and kept until the layer is labelled."""
+        """(materials - 1, rows, columns) cumulative painted ratios; made once, and kept until the layer is made."""
         key = layer if self.painted.ratio_depends_on_z else 0
         if key not in self._ratio:
             self._ratio[key] = self.painted.ratio_map(self.grid, key)
         return self._ratio[key]
 
     def forget_ratios(self) -> None:
-        """Lets go of the painted ratios of layers that are labelled."""
+        """Lets go of the painted ratios of layers that are made."""
         if self.painted.ratio_depends_on_z:
             self._ratio.clear()
 

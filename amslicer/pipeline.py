@@ -19,7 +19,7 @@ from amslicer.errors import JobError, UsageError
 from amslicer.grid import Grid, cover
 from amslicer.holes import find_holes
 from amslicer.lattice import Lattice, choose_lattice
-from amslicer.layer import Layer
+from amslicer.layer import Bitmaps, Layer
 from amslicer.mask import Slicer, join_runs, make_slicer
 from amslicer.mesh import Mesh, read_mesh
 from amslicer.notes import notes_of
@@ -223,7 +223,7 @@ def layers(job: Job, run: Run | None = None) -> Iterator[Layer]:
     with Device(run.device, run.jobs) as device, host_threads(run) as pool:
         pattern = prepared.pattern(device)
         for batch in make_layers(prepared, pattern, pool, layer_range(run, prepared.grid.layers), run.threads):
-            yield from (made.layer for made in batch)
+            yield from (made.bitmaps.layer() for made in batch)
 
 
 def field_of_layer(job: Job, index: int, run: Run | None = None) -> NDArray[np.complex64]:
@@ -253,12 +253,12 @@ class Made:
     """A finished layer, and what its fields ask for.
 
     Attributes:
-        layer: labels.
+        bitmaps: of its materials.
         asked: per material, the sum of its painted share over the solid pixels: how many pixels are asked.
         overlap_px: pixels that overlapping bodies have in common.
     """
 
-    layer: Layer
+    bitmaps: Bitmaps
     asked: list[float]
     overlap_px: int
 
@@ -266,7 +266,7 @@ class Made:
 def make_layers(
     prepared: Prepared, pattern: Pattern, pool: ThreadPoolExecutor, chosen: range, threads: int
 ) -> Iterator[list[Made]]:
-    """Batches of layers: masks in the pool's threads, then labels on the device."""
+    """Batches of layers: masks in the pool's threads, then materials on the device."""
     grid = prepared.grid
     graded = len(prepared.painted.materials) - 1 if prepared.painted.ratio_depends_on_z else 0
     at_once = layers_at_once(grid, prepared.tiling, graded)
@@ -278,9 +278,9 @@ def make_layers(
         for low in range(first, end, at_once):
             some = runs.part(low - first, min(end, low + at_once) - first)
             asked = pattern.asked(some, low)
-            labels = block.labels(low, low + some.layers)
+            deposits = block.deposits(low, low + some.layers)
             overlap = [0] * some.layers if some.overlap_px is None else some.overlap_px.tolist()
-            yield [Made(_layer(prepared, low + i, layer), asked[i], overlap[i]) for i, layer in enumerate(labels)]
+            yield [Made(_bitmaps(prepared, low + i, bits), asked[i], overlap[i]) for i, bits in enumerate(deposits)]
 
 
 def pieces(first: int, end: int, size: int) -> Iterator[tuple[int, int]]:
@@ -292,7 +292,7 @@ def pieces(first: int, end: int, size: int) -> Iterator[tuple[int, int]]:
 
 
 def layers_at_once(grid: Grid, tiling: Tiling, graded: int) -> int:
-    """How many layers of a block are labelled at a time, within the memory bound.
+    """How many layers of a block are made at a time, within the memory bound.
 
     Args:
         graded: cumulative ratios that change from layer to layer.
@@ -301,13 +301,14 @@ def layers_at_once(grid: Grid, tiling: Tiling, graded: int) -> int:
     return max(1, min(tiling.layers, BATCH_BYTES // (bytes_per_pixel * grid.columns * grid.rows)))
 
 
-def _layer(prepared: Prepared, index: int, labels: NDArray[np.uint8]) -> Layer:
+def _bitmaps(prepared: Prepared, index: int, deposits: NDArray[np.uint8]) -> Bitmaps:
     grid, margin = prepared.grid, prepared.grid.margin_px
-    flipped = labels[::-1]
+    rows = deposits[:, ::-1]
     if margin:
-        flipped = np.pad(flipped, margin)
+        inner = np.unpackbits(rows, axis=-1, count=grid.columns)
+        rows = np.packbits(np.pad(inner, ((0, 0), (margin, margin), (margin, margin))), axis=-1)
     z = float(prepared.placement.origin_mm[2]) + grid.z_mm(index)
-    return Layer(index, z, flipped, prepared.job.materials)
+    return Bitmaps(index, z, prepared.job.materials, grid.width_px, rows)
 
 
 @contextmanager
@@ -359,7 +360,7 @@ def estimate(job: Job, run: Run, samples: int) -> Estimate:
             started = time.monotonic()
             some = range(place, min(place + prepared.tiling.layers, chosen.stop))
             for batch in make_layers(prepared, pattern, pool, some, run.threads):
-                files = pool.map(lambda m: WRITERS[output.format](m.layer, grid.pitch_mm, output.compression), batch)
+                files = pool.map(lambda m: WRITERS[output.format](m.bitmaps, grid.pitch_mm, output.compression), batch)
                 if number:
                     size += sum(len(content) for layer in files for _, _, content in layer)
                     made += len(batch)

@@ -161,10 +161,10 @@ def _encode(made: Made, prepared: Prepared) -> tuple[LayerRecord, list[tuple[str
     """A layer's record, and its files: (path in the stack, content)."""
     from amslicer.writers import WRITERS
 
-    layer, output = made.layer, prepared.job.spec.output
-    files = WRITERS[output.format](layer, prepared.grid.pitch_mm, output.compression)
+    bitmaps, output = made.bitmaps, prepared.job.spec.output
+    files = WRITERS[output.format](bitmaps, prepared.grid.pitch_mm, output.compression)
     sha256 = {material: hashlib.sha256(content).hexdigest() for _, material, content in files}
-    record = LayerRecord(layer.index, layer.z_mm, layer.pixels(), sha256)
+    record = LayerRecord(bitmaps.index, bitmaps.z_mm, bitmaps.pixels(), sha256)
     return record, [(path, content) for path, _, content in files]
 
 

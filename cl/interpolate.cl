@@ -1,6 +1,6 @@
-// From G on a tile's lattice to material labels: interpolated along z, then y, then x, with the threshold as the last step.
+// From G on a tile's lattice to the materials' bitmaps: interpolated along z, then y, then x, with the threshold as the last step.
 
-#include "labels.h"
+#include "deposit.h"
 
 #define VECTORS (TILE / VECTOR)
 
@@ -9,7 +9,7 @@
 // layers, rows, and vectors of columns; pixels: of a tile along x and y; needed: [tile][layer], one bit for each group of
 // rows that has solid pixels; in_block: number of the first layer in its block. The rest as in profile.cl.
 __attribute__((reqd_work_group_size(1, 1, 1)))
-kernel void interpolate(global uchar *restrict labels, global const float *restrict field,
+kernel void interpolate(global uchar *restrict deposits, global const float *restrict field,
                         global const uchar *restrict solid, global const float *restrict thresholds,
                         global const int2 *restrict tiles, global const uint *restrict slots,
                         const uint planes, const uint2 padded, const uint field_tiles,
@@ -28,6 +28,7 @@ kernel void interpolate(global uchar *restrict labels, global const float *restr
     const int2 corner = tiles[tile_index] * pixels;
     const Profile profile = {thresholds, planes, padded, seed, number, planar};
     const float4 wave = waves[tile_index];
+    const size_t bytes = (size_t)(first + layer) * padded.x * padded.y / 8;
 
     floatV plane[TILE][2][VECTORS];
     global const float *z = weights_z + (in_block + layer) * TAPS_Z;
@@ -52,7 +53,6 @@ kernel void interpolate(global uchar *restrict labels, global const float *restr
             ((floatV *)line)[i] = sum;
         }
         const uint down = (uint)(corner.y + row);
-        const size_t here = ((size_t)(first + layer) * padded.y + down) * padded.x + (size_t)corner.x;
         for (int v = 0; v < pixels.x / VECTOR; ++v) {
             global const floatV *x = (global const floatV *)weights_x + v * TAPS_X;
             const float *nodes = (const float *)line + first_x[v];
@@ -61,8 +61,8 @@ kernel void interpolate(global uchar *restrict labels, global const float *restr
                 re = fma(x[k], (floatV)nodes[k], re);
                 im = fma(x[k], (floatV)nodes[TILE + k], im);
             }
-            label(re, im, solid + here + v * VECTOR, labels + here + v * VECTOR, profile, corner.x + v * VECTOR, down,
-                  first_layer + layer, wave);
+            deposit(re, im, solid + bytes, deposits + (planes + 1) * bytes, profile, corner.x + v * VECTOR, down,
+                    first_layer + layer, wave);
         }
     }
 }

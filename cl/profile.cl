@@ -1,12 +1,12 @@
-// Material labels of pixels whose G is known one by one.
+// The materials' bitmaps of pixels whose G is known one by one.
 
-#include "labels.h"
+#include "deposit.h"
 
-// labels, solid: [layer][padded rows][padded columns]; field as rank1.cl leaves it; tiles: (column, row) and
-// slots: place in the field of each tile; thresholds: [planes][padded rows][padded columns]; first: the layer of labels and
-// solid that the field's first layer is; waves: of each tile, rad per column, row and layer; number: of the hash's
+// deposits: [layer][material][padded rows][bytes] and solid: [layer][padded rows][bytes], a bit per pixel; field as
+// rank1.cl leaves it; tiles: (column, row) and slots: place in the field of each tile; thresholds:
+// [planes][padded rows][padded columns]; first: the layer of deposits and solid that the field's first layer is; waves: of each tile, rad per column, row and layer; number: of the hash's
 // counter; first_layer: the part's layer that the hash counts the first one as (a planar pattern's all count as one).
-kernel void profile(global uchar *restrict labels, global const float *restrict field,
+kernel void profile(global uchar *restrict deposits, global const float *restrict field,
                     global const uchar *restrict solid, global const float *restrict thresholds,
                     global const int2 *restrict tiles, global const uint *restrict slots,
                     const uint planes, const uint2 padded, const uint field_tiles,
@@ -20,9 +20,9 @@ kernel void profile(global uchar *restrict labels, global const float *restrict 
     const uint down = (uint)corner.y + row;
     const size_t slot = (size_t)((first + layer) % field_layers) * field_tiles + slots[tile_index];
     global const float *g = field + (slot * TILE + row) * 2 * TILE;
-    const size_t here = ((size_t)(first + layer) * padded.y + down) * padded.x + (size_t)corner.x;
+    const size_t bytes = (size_t)(first + layer) * padded.x * padded.y / 8;
     const Profile profile = {thresholds, planes, padded, seed, number, planar};
     for (int v = 0; v < TILE; v += VECTOR)
-        label(vloadV(0, g + v), vloadV(0, g + TILE + v), solid + here + v, labels + here + v, profile, corner.x + v,
-              down, first_layer + layer, waves[tile_index]);
+        deposit(vloadV(0, g + v), vloadV(0, g + TILE + v), solid + bytes, deposits + (planes + 1) * bytes, profile,
+                corner.x + v, down, first_layer + layer, waves[tile_index]);
 }

@@ -92,7 +92,7 @@ def rounding(d: Floats, magnitude: Floats, wave: Floats, decay: Floats) -> Float
 
 def is_tiled(file: Path) -> bool:
     source = file.read_text(encoding="utf-8")
-    return '#include "tile.h"' in source or '#include "labels.h"' in source
+    return '#include "tile.h"' in source or '#include "deposit.h"' in source
 
 
 @pytest.mark.parametrize("file", FILES, ids=lambda f: f.stem)
@@ -188,16 +188,16 @@ def test_fill(device: Device, columns: int, rows: int, layers: int) -> None:
     starts = np.concatenate([[0], np.cumsum(count)]).astype(np.uint32)
     runs = np.sort(random.integers(0, columns + 1, (int(starts[-1]), 2)), axis=1).astype(np.int32)
     runs[: len(runs) // 5] = (0, columns)
-    got = np.empty((layers, padded_rows, padded_columns), np.uint8)
+    got = np.empty((layers, padded_rows, padded_columns // 8), np.uint8)
     solid = zeroed(device, got.nbytes)
     device.run(
         device.kernel("fill"), layers * rows, solid, device.buffer(starts), device.buffer(runs),
-        np.uint32(padded_columns), np.uint32(rows), np.uint32(padded_rows), np.uint32(layers * rows),
+        np.uint32(padded_columns // 8), np.uint32(rows), np.uint32(padded_rows), np.uint32(layers * rows),
     )  # fmt: skip
     device.read(solid, got)
-    expected = np.zeros_like(got)
+    expected = np.zeros((layers, padded_rows, padded_columns), np.uint8)
     expected[:, :rows, :columns] = reference.fill(starts, runs, columns).reshape(layers, rows, columns)
-    assert np.array_equal(got, expected)
+    assert np.array_equal(np.unpackbits(got, axis=-1), expected)
 
 
 def test_fill_twin_on_rows_drawn_by_hand() -> None:
@@ -206,12 +206,19 @@ def test_fill_twin_on_rows_drawn_by_hand() -> None:
     assert reference.fill(starts, runs, 5).tolist() == expected
 
 
+def labels_of(deposits: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """(layers, rows, columns) labels of (layers, materials, rows, bytes); no pixel belongs to two materials."""
+    bits = np.unpackbits(deposits, axis=-1)
+    assert bits.sum(axis=1).max() <= 1
+    return np.einsum("m,lmyx->lyx", np.arange(1, bits.shape[1] + 1, dtype=np.uint8), bits)
+
+
 def device_labels(
     device: Device, g: NDArray[np.complex64], cumulative: Floats, solid: NDArray[np.uint8],
     shape: tuple[int, int] = SHAPES[0], profile: str = "symmetric", wave: Floats | None = None, seed: int = 0,
     first_layer: int = 0,
 ) -> NDArray[np.uint8]:  # fmt: skip
-    """cl/profile.cl on (layers, rows, columns) of G, a multiple of the tile each, tiles in reverse order."""
+    """cl/profile.cl and cl/deposit.h on (layers, rows, columns) of G, multiples of the tile, tiles in reverse order."""
     layers, rows, columns = g.shape
     tile = shape[0]
     tiles = np.argwhere(np.ones((rows // tile, columns // tile)))[::-1, ::-1].astype(np.int32)
@@ -223,17 +230,18 @@ def device_labels(
     waves = np.zeros((len(tiles), 4), np.float32)
     waves[:, :3] = 0.0 if wave is None else wave
     macros = {**constants(device, shape), "CYCLIC": kind.cyclic, "DITHERED": wave is not None}
-    labels = np.zeros(g.shape, np.uint8)
-    out = zeroed(device, labels.nbytes)
+    deposits = np.zeros((layers, len(cumulative) + 1, rows, columns // 8), np.uint8)
+    out = zeroed(device, deposits.nbytes)
     device.kernel("profile", macros)(
-        device.queue, (tile, len(tiles), layers), (tile, 1, 1), out, device.buffer(field), device.buffer(solid),
+        device.queue, (tile, len(tiles), layers), (tile, 1, 1), out, device.buffer(field),
+        device.buffer(np.packbits(solid, axis=-1)),
         device.buffer(thresholds), device.buffer(tiles), device.buffer(slots), np.uint32(len(cumulative)),
         np.array([columns, rows], np.uint32), np.uint32(len(tiles)), np.uint32(layers), np.uint32(0),
         device.buffer(waves), np.array([seed & 0xFFFFFFFF, seed >> 32], np.uint32), np.uint32(reference.EDGES),
         np.uint32(first_layer), np.uint32(0),
     )  # fmt: skip
-    device.read(out, labels)
-    return labels
+    device.read(out, deposits)
+    return labels_of(deposits)
 
 
 def random_phasors(shape: tuple[int, ...], seed: int) -> NDArray[np.complex64]:

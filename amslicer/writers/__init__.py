@@ -1,4 +1,4 @@
-"""Output formats: each turns a Layer into files. `WRITERS` is the closed list; a new format is one file, one line."""
+"""Output formats: each turns bitmaps into files. `WRITERS` is the closed list; a new format is one file, one line."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING
 from amslicer.writers.png import png_files
 
 if TYPE_CHECKING:
-    from amslicer.layer import Layer
+    from amslicer.layer import Bitmaps
 
-# A writer encodes one layer: (layer, pitch_mm, compression) -> [(path in the stack, material, bytes)].
+# A writer encodes one layer: (bitmaps, pitch_mm, compression) -> [(path in the stack, material, bytes)].
 # It keeps no state and may run in any thread.
-Writer = Callable[["Layer", tuple[float, float], str], list[tuple[str, str, bytes]]]
+Writer = Callable[["Bitmaps", tuple[float, float], str], list[tuple[str, str, bytes]]]
 
 WRITERS: dict[str, Writer] = {
     "png": png_files,

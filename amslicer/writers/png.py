@@ -13,7 +13,7 @@ from isal import isal_zlib
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from amslicer.layer import Layer
+    from amslicer.layer import Bitmaps
 
 # Both without the interpreter's lock. ISA-L's level 1 is four times as fast as zlib's, and a tenth smaller; zlib's 9 is
 # another fifth smaller, and a hundred times slower.
@@ -25,11 +25,11 @@ SIGNATURE = b"\x89PNG\r\n\x1a\n"
 MM_PER_M = 1000.0
 
 
-def png_files(layer: Layer, pitch_mm: tuple[float, float], compression: str) -> list[tuple[str, str, bytes]]:
+def png_files(bitmaps: Bitmaps, pitch_mm: tuple[float, float], compression: str) -> list[tuple[str, str, bytes]]:
     """The layer's files: (path in the stack, material, content), in the order of the materials."""
     return [
-        (layer_path(name, layer.index), name, encode_png(layer.labels == m, pitch_mm, compression))
-        for m, name in enumerate(layer.materials, 1)
+        (layer_path(name, bitmaps.index), name, _encode(rows, bitmaps.width_px, pitch_mm, compression))
+        for name, rows in zip(bitmaps.materials, bitmaps.rows, strict=True)
     ]
 
 
@@ -39,14 +39,18 @@ def layer_path(material: str, index: int) -> str:
 
 
 def encode_png(deposit: NDArray[np.bool_], pitch_mm: tuple[float, float], compression: str = "fast") -> bytes:
-    """A 1-bit grey PNG of (H, W) booleans with its pixel size.
+    """A 1-bit grey PNG of (H, W) booleans with its pixel size."""
+    return _encode(np.packbits(deposit, axis=1), deposit.shape[1], pitch_mm, compression)
 
-    Rows are packed and deflated unfiltered, which is what 1-bit pictures deflate best as (PNG specification,
-    12.7), in a fraction of the time that Pillow takes to get there (`make bench` prints both).
+
+def _encode(packed: NDArray[np.uint8], width: int, pitch_mm: tuple[float, float], compression: str) -> bytes:
+    """Rows are deflated unfiltered, which is what 1-bit pictures deflate best as (PNG specification, 12.7).
+
+    Pillow takes several times as long to get there (`make bench` prints both).
     """
-    height, width = deposit.shape
-    rows = np.zeros((height, 1 + -(-width // 8)), np.uint8)  # each row starts with its filter: 0, none
-    rows[:, 1:] = np.packbits(deposit, axis=1)
+    height = len(packed)
+    rows = np.zeros((height, 1 + packed.shape[1]), np.uint8)  # each row starts with its filter: 0, none
+    rows[:, 1:] = packed
     per_metre = (round(MM_PER_M / pitch) for pitch in pitch_mm)
     return b"".join(
         (

@@ -1,9 +1,9 @@
-// From G to material labels: 0 where the part is not solid, else 1 + the number of thresholds that the phase
-// is beyond. A threshold is the profile's key (amslicer/profile.py) at a cumulative ratio; beyond 1 or -3 it is a plain
-// fill. The host defines CYCLIC, and DITHERED: each pixel reads the phase at a random place within itself.
+// From G to bitmaps of the materials: a solid pixel's material is 1 + the number of thresholds that the phase is beyond. A
+// threshold is the profile's key (amslicer/profile.py) at a cumulative ratio; beyond 1 or -3 it is a plain fill. The host
+// defines CYCLIC, and DITHERED: each pixel reads the phase at a random place within itself.
 
-#ifndef AMSLICER_LABELS_H
-#define AMSLICER_LABELS_H
+#ifndef AMSLICER_DEPOSIT_H
+#define AMSLICER_DEPOSIT_H
 
 #include "tile.h"
 #if DITHERED
@@ -46,10 +46,18 @@ typedef struct {
     uint planar;
 } Profile;
 
-// Labels a vector of pixels of one row from G there; solid and labels: of these pixels; column, row: of the first of
-// them; wave: rad per column, row and layer; layer: the part's.
-void label(floatV re, floatV im, global const uchar *solid, global uchar *labels, const Profile profile,
-           const int column, const uint row, const uint layer, const float4 wave)
+// Where a vector of lanes is -1, as bits, the first lane's the highest: a byte per 8 lanes.
+void pack(const intV lanes, uchar bits[VECTOR / 8])
+{
+    const ucharV ones = to_ucharV(lanes & 1);
+    for (int i = 0; i < VECTOR / 8; ++i)
+        bits[i] = (uchar)((((const ulong *)&ones)[i] * 0x8040201008040201UL) >> 56);
+}
+
+// The bitmaps of a vector of pixels of one row from G there. deposits: [material][padded rows][bytes] and solid:
+// [padded rows][bytes] of a layer; column, row: of the first pixel; wave: rad per column, row and layer; layer: the part's.
+void deposit(floatV re, floatV im, global const uchar *solid, global uchar *deposits, const Profile profile,
+             const int column, const uint row, const uint layer, const float4 wave)
 {
 #if DITHERED
     const floatV phase = jitter(column, row, profile.planar ? 0u : layer, wave, profile.number, profile.seed);
@@ -64,14 +72,24 @@ void label(floatV re, floatV im, global const uchar *solid, global uchar *labels
 #if CYCLIC
     key = select(key, -2.0f * power - key, im < 0.0f);
 #endif
+    const size_t plane = (size_t)profile.padded.x * profile.padded.y;
     const size_t place = (size_t)row * profile.padded.x + (size_t)column;
-    intV found = (intV)1;
+    intV material = (intV)0;
     for (uint p = 0; p < profile.planes; ++p) {
-        const floatV threshold = vloadV(0, profile.thresholds + (size_t)p * profile.padded.x * profile.padded.y + place);
-        found -= (threshold > 1.0f) | ((threshold >= -3.0f) & (key <= threshold * power));
+        const floatV threshold = vloadV(0, profile.thresholds + p * plane + place);
+        material -= (threshold > 1.0f) | ((threshold >= -3.0f) & (key <= threshold * power));
     }
-    const intV inside = to_intV(vloadV(0, solid)) != 0;
-    vstoreV(to_ucharV(found & inside), 0, labels);
+    uchar rest[VECTOR / 8];
+    for (int i = 0; i < VECTOR / 8; ++i) rest[i] = solid[place / 8 + i];
+    for (uint m = 0; m < profile.planes; ++m) {
+        uchar bits[VECTOR / 8];
+        pack(material == (intV)(int)m, bits);
+        for (int i = 0; i < VECTOR / 8; ++i) {
+            deposits[(m * plane + place) / 8 + i] = bits[i] & rest[i];
+            rest[i] &= ~bits[i];
+        }
+    }
+    for (int i = 0; i < VECTOR / 8; ++i) deposits[(profile.planes * plane + place) / 8 + i] = rest[i];
 }
 
 #endif
