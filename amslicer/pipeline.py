@@ -124,7 +124,7 @@ def prepare(job: Job) -> Prepared:
         planar = spec.pattern.dimensions == 2
         lattice = choose_lattice(grid, painted.period_bounds_mm, spec.pattern.bandwidth, planar=planar)
     tiling = lattice.tiling if lattice else choose_tiling(grid, painted.period_bounds_mm[0])
-    _refuse_many_kernels(job, make_noise(job, painted), grid, tiling, painted)
+    _refuse_many_kernels(job, make_noise(job, painted), grid, painted)
     slicer = make_slicer(vertices, mesh.triangles, grid, find_holes(mesh.rim, vertices, grid))
     return Prepared(job, mesh, placement, grid, tiling, lattice, slicer, painted)
 
@@ -172,12 +172,13 @@ def _refuse_isotropies(painted: Painted) -> None:
         painted.isotropies(sample_places(painted, painted.period_bounds_mm[1]).reshape(-1, 3))
 
 
-def _refuse_many_kernels(job: Job, noise: Noise, grid: Grid, tiling: Tiling, painted: Painted) -> None:
-    """The kernels of one batch and their tables, counted before any is drawn."""
+def _refuse_many_kernels(job: Job, noise: Noise, grid: Grid, painted: Painted) -> None:
+    """The kernels of one batch and their tables at the pixels, counted before any is drawn."""
     reach, size = noise.radius_mm, painted.placement.size_mm
     width, depth = (float(v) + 2 * reach for v in size[:2])
-    height = 2 * reach + tiling.nodes[2].side_mm if noise.dimensions == 3 else 1.0
     shortest, longest = painted.period_bounds_mm
+    tiling = choose_tiling(grid, shortest)
+    height = 2 * reach + tiling.nodes[2].side_mm if noise.dimensions == 3 else 1.0
     period = painted.periods(sample_places(painted, longest).reshape(-1, 3))
     kernels = noise.density * width * depth * height * float(np.mean((shortest / period) ** noise.dimensions))
     slots = 2 * reach / float(tiling.sides_mm.min()) + 2

@@ -9,7 +9,7 @@ import pyopencl as cl
 import pytest
 from numpy.typing import NDArray
 
-from amslicer import pattern
+from amslicer import block
 from amslicer.device import Device
 from amslicer.noise import kernels
 from amslicer.reference import CHOICES, EDGES, TURN_PLACES, TURN_WEIGHTS, cell_words, impulses_of, philox4x32
@@ -133,7 +133,7 @@ def test_no_two_uses_share_a_counter() -> None:
     numbers = np.concatenate([np.ravel(use) for use in uses])
     assert len(np.unique(numbers)) == len(numbers)
     assert numbers.max() < 2**32
-    assert (kernels.IMPULSES, kernels.CHOICE, kernels.TURN_PLACES, kernels.TURN_WEIGHTS, pattern.EDGES) == (
+    assert (kernels.IMPULSES, kernels.CHOICE, kernels.TURN_PLACES, kernels.TURN_WEIGHTS, block.EDGES) == (
         0, CHOICES, TURN_PLACES, TURN_WEIGHTS, EDGES,
     )  # fmt: skip
 
