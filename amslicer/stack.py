@@ -7,6 +7,7 @@ import io
 import logging
 import time
 import warnings
+from collections import deque
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
@@ -37,6 +38,7 @@ if TYPE_CHECKING:
     from amslicer.job import Job
     from amslicer.pipeline import Made, Prepared, Progress, Run
 
+BATCHES_WAITING = 2  # to be encoded and written while the next is computed
 # Of the part's volume: overlaps below are what touching bodies have by rounding.
 VOLUME_SHARE = 0.01
 
@@ -122,22 +124,22 @@ def slice_job(
         records: list[LayerRecord] = []
         asked = np.zeros(len(job.materials))
         overlap_px = 0
-        with ThreadPoolExecutor(1) as disk:  # waits for the disk while the next batch is computed
-            written: Future[None] | None = None
+        with ThreadPoolExecutor(1) as disk:  # waits for the disk while others compute
+            waiting: deque[Future[list[LayerRecord]]] = deque()
+
+            def collect(most: int) -> None:
+                while len(waiting) > most:
+                    records.extend(waiting.popleft().result())
+                    if progress:
+                        progress(len(records), len(chosen))
+
             for batch in make_layers(prepared, pattern, pool, chosen, run.threads):
-                encoded = list(pool.map(lambda made: _encode(made, prepared), batch))
-                if written:
-                    written.result()
-                if progress and records:
-                    progress(len(records), len(chosen))
-                written = disk.submit(_write, out, [files for _, files in encoded])
-                records.extend(record for record, _ in encoded)
+                encoded = [pool.submit(_encode, made, prepared) for made in batch]
+                waiting.append(disk.submit(_write, out, encoded))
+                collect(BATCHES_WAITING)
                 asked += np.sum([made.asked for made in batch], axis=0)
                 overlap_px += sum(made.overlap_px for made in batch)
-            if written:
-                written.result()
-        if progress:
-            progress(len(records), len(chosen))
+            collect(0)
         digest = job.digest(prepared.mesh.sha256, device.label, __version__)
         manifest = describe_stack(
             prepared, records, asked.tolist(), overlap_px, device=device.label, digest=digest, version=__version__
@@ -168,10 +170,15 @@ def _encode(made: Made, prepared: Prepared) -> tuple[LayerRecord, list[tuple[str
     return record, [(path, content) for path, _, content in files]
 
 
-def _write(out: Path, layers: list[list[tuple[str, bytes]]]) -> None:
-    for files in layers:
+def _write(out: Path, layers: list[Future[tuple[LayerRecord, list[tuple[str, bytes]]]]]) -> list[LayerRecord]:
+    """Writes layers as they are encoded; returns their records."""
+    records = []
+    for layer in layers:
+        record, files = layer.result()
         for path, content in files:
             write_atomically(out / path, content)
+        records.append(record)
+    return records
 
 
 def _result(out: Path, manifest: dict[str, Any], prepared: Prepared, seconds: float) -> Result:
