@@ -68,6 +68,11 @@ class Block:
         pattern.forget_ratios()
         return bits[:, :, : pattern.grid.rows, : -(-pattern.grid.columns // 8)]
 
+    def prepare(self) -> None:
+        """Finds the kernels of a solid pattern; the first layers would do it else. May run in another thread."""
+        if len(self._tiles) and not self._pattern.planar:
+            self._evaluator  # noqa: B018
+
     @property
     def _evaluator(self) -> Evaluator:
         if self._kept_evaluator is None:

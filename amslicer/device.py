@@ -152,12 +152,18 @@ class Device:
             self._kernels[key] = cl.Kernel(build(self.context, self.device, file, constants or {}), file)
         return self._kernels[key]
 
-    def run(self, kernel: Any, size: int, *arguments: Any) -> None:
+    def other_queue(self) -> Any:
+        """A queue whose work waits for nothing in the device's own."""
+        import pyopencl as cl
+
+        return cl.CommandQueue(self.context, self.device)
+
+    def run(self, kernel: Any, size: int, *arguments: Any, queue: Any = None) -> None:
         """Enqueues a kernel over at least `size` work-items; the kernel ignores those beyond.
 
         The work-group size is fixed: drivers such as PoCL compile anew for every size that they meet.
         """
-        kernel(self.queue, (-(-size // GROUP) * GROUP,), (GROUP,), *arguments)
+        kernel(queue or self.queue, (-(-size // GROUP) * GROUP,), (GROUP,), *arguments)
 
     def buffer(self, array: NDArray[Any]) -> Any:
         """A read-only device copy of `array` (at least one byte long)."""
@@ -191,11 +197,11 @@ class Device:
 
         cl.enqueue_fill_buffer(self.queue, buffer, np.zeros(1, np.uint8), 0, nbytes)
 
-    def read(self, buffer: Any, out: NDArray[np.generic]) -> None:
+    def read(self, buffer: Any, out: NDArray[np.generic], queue: Any = None) -> None:
         """Copies the start of `buffer` into the contiguous array `out` and waits for it."""
         import pyopencl as cl
 
-        cl.enqueue_copy(self.queue, out, buffer)
+        cl.enqueue_copy(queue or self.queue, out, buffer)
 
     def _check_size(self, nbytes: int) -> None:
         limit = self.device.max_mem_alloc_size

@@ -15,10 +15,11 @@ if TYPE_CHECKING:
 
 
 class DeviceGenerator:
-    """amslicer.noise.kernels.Generator with OpenCL."""
+    """amslicer.noise.kernels.Generator with OpenCL, beside what else the device does. In one thread at a time."""
 
     def __init__(self, device: Device) -> None:
         self.device = device
+        self._queue = device.other_queue()
 
     def words(
         self, first: tuple[int, int, int], count: tuple[int, int, int], per_cell: int, seed: int, number: int
@@ -29,9 +30,9 @@ class DeviceGenerator:
         self.device.run(
             self.device.kernel("impulses"), words.size // 4, buffer, np.array([*first, 0], np.int32),
             np.array([*count, per_cell], np.uint32), np.array([seed & 0xFFFFFFFF, seed >> 32], np.uint32),
-            np.uint32(number),
+            np.uint32(number), queue=self._queue,
         )  # fmt: skip
-        self.device.read(buffer, words)
+        self.device.read(buffer, words, self._queue)
         return words
 
     def normal_fields(
@@ -48,8 +49,9 @@ class DeviceGenerator:
             self.device.kernel("normal_fields"), count, buffer, self.device.buffer(_four(places, np.float32)),
             self.device.buffer(_four(cells, np.int32)), self.device.buffer(padded), self.device.buffer(weights),
             np.array([x, y, z, per_cell], np.uint32), np.uint32(count), np.uint32(z == 1),
+            queue=self._queue,
         )  # fmt: skip
-        self.device.read(buffer, fields)
+        self.device.read(buffer, fields, self._queue)
         return fields
 
 

@@ -6,7 +6,7 @@ import operator
 import os
 import time
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -32,7 +32,9 @@ from amslicer.tiles import Tiling, choose_tiling
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from amslicer.block import Block
     from amslicer.job import Job
+    from amslicer.mask import Runs
     from amslicer.noise import Noise
 
 Progress = Callable[[int, int], None]
@@ -267,21 +269,47 @@ class Made:
 def make_layers(
     prepared: Prepared, pattern: Pattern, pool: ThreadPoolExecutor, chosen: range, threads: int
 ) -> Iterator[list[Made]]:
-    """Batches of layers: masks in the pool's threads, then materials on the device."""
+    """Batches of layers: masks in the pool's threads, then materials on the device.
+
+    With more than one thread, the masks and kernels of a block are made while the device is busy with the one before.
+    """
     grid = prepared.grid
     graded = len(prepared.painted.materials) - 1 if prepared.painted.ratio_depends_on_z else 0
     at_once = layers_at_once(grid, prepared.tiling, graded)
-    for first, end in pieces(chosen.start, chosen.stop, prepared.tiling.layers):
+
+    def begin(first: int, end: int) -> tuple[int, int, Runs, Block]:
         shares = np.array_split(np.arange(first, end), min(threads, end - first))
         parts = pool.map(lambda share: prepared.slicer.runs(int(share[0]), int(share[-1]) + 1), shares)
         runs = join_runs(list(parts))
         block = pattern.block(runs, first)
+        block.prepare()
+        return first, end, runs, block
+
+    for first, end, runs, block in _ahead(begin, pieces(chosen.start, chosen.stop, prepared.tiling.layers), threads):
         for low in range(first, end, at_once):
             some = runs.part(low - first, min(end, low + at_once) - first)
             asked = pattern.asked(some, low)
             deposits = block.deposits(low, low + some.layers)
             overlap = [0] * some.layers if some.overlap_px is None else some.overlap_px.tolist()
             yield [Made(_bitmaps(prepared, low + i, bits), asked[i], overlap[i]) for i, bits in enumerate(deposits)]
+
+
+def _ahead(
+    begin: Callable[[int, int], tuple[int, int, Runs, Block]], ranges: Iterator[tuple[int, int]], threads: int
+) -> Iterator[tuple[int, int, Runs, Block]]:
+    """Begins each range, the next one while the one before is worked on if there are threads for it."""
+    if threads == 1:
+        yield from (begin(*some) for some in ranges)
+        return
+    with ThreadPoolExecutor(1) as other:
+        waiting: Future[tuple[int, int, Runs, Block]] | None = None
+        for some in ranges:
+            begun = other.submit(begin, *some)
+            if waiting:
+                yield waiting.result()
+            waiting = begun
+        if waiting:
+            yield waiting.result()
 
 
 def pieces(first: int, end: int, size: int) -> Iterator[tuple[int, int]]:

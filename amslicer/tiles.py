@@ -189,10 +189,12 @@ def needed_tiles(runs: Runs, tiling: Tiling, rows: int) -> tuple[NDArray[np.int3
     """
     down, across = tiling.over(runs.grid)
     tile, groups = tiling.pixels[0], tiling.pixels[1] // rows
-    change = np.zeros((runs.layers, down * groups, across + 1), np.int32)
+    shape = (runs.layers, down * groups, across + 1)
     layer, row = np.divmod(runs.row, runs.grid.rows)
-    np.add.at(change, (layer, row // rows, runs.start // tile), 1)
-    np.add.at(change, (layer, row // rows, (runs.stop - 1) // tile + 1), -1)
+    line = (layer * shape[1] + row // rows) * shape[2]
+    first, end = runs.start // tile, (runs.stop - 1) // tile + 1
+    change = np.bincount(line + first, minlength=np.prod(shape)) - np.bincount(line + end, minlength=np.prod(shape))
+    change = change.reshape(shape)
     solid = (np.cumsum(change, axis=2)[:, :, :-1] > 0).reshape(runs.layers, down, groups, across)
     bits = (solid << np.arange(groups, dtype=np.uint8)[:, None]).sum(axis=2, dtype=np.uint8)
     tiles = np.argwhere(bits.any(axis=0))
