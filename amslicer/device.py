@@ -6,9 +6,11 @@ import json
 import os
 import subprocess
 import sys
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
+from threading import Lock, Thread
 from typing import TYPE_CHECKING, Any
 
 from amslicer.cache import read_cached, write_cached
@@ -28,6 +30,7 @@ INSTALL_HINT = (
     "`conda install -c conda-forge pocl` (conda), or your GPU vendor's driver; then `amslicer devices --refresh`"
 )
 GROUP = 64  # work-items per group of the simple kernels: fits every device
+_ASKING = Lock()
 
 
 @dataclass(frozen=True)
@@ -98,8 +101,23 @@ def choose_device(substring: str | None = None) -> DeviceInfo:
     return working[0]
 
 
-@cache
+def ask_ahead() -> None:
+    """Starts to ask for the devices in another thread, for whoever needs them soon; says nothing of what goes wrong."""
+
+    def ask() -> None:
+        with suppress(DeviceError):
+            _known_devices()
+
+    Thread(target=ask, daemon=True).start()
+
+
 def _known_devices() -> tuple[DeviceInfo, ...]:
+    with _ASKING:
+        return _asked_once()
+
+
+@cache
+def _asked_once() -> tuple[DeviceInfo, ...]:
     """The devices, asked for once per process: a probe is a process of its own."""
     return tuple(list_devices())
 

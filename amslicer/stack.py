@@ -104,7 +104,9 @@ def slice_job(
         AmslicerError: of the kind that says where the fault is: usage, job, part, device, files.
     """
     from amslicer import __version__
-    from amslicer.device import Device
+    from amslicer.device import Device, ask_ahead
+
+    ask_ahead()  # while the pipeline's libraries load and the part is read
     from amslicer.pipeline import Run, host_threads, layer_range, make_layers, prepare
 
     started = time.monotonic()

@@ -17,7 +17,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.special import ndtr
 
 from amslicer.noise.kernels import TURN_PLACES, TURN_WEIGHTS, WORD
 
@@ -59,6 +58,8 @@ def turned(
 
 
 def _turn_flat(normal: Floats, isotropy: Floats, w: Floats) -> Floats:
+    from scipy.special import ndtr
+
     delta = isotropy * (np.pi / 2) * (2 * ndtr(w[:, 0]) - 1)
     x, y = normal[:, 0], normal[:, 1]
     cosine, sine = np.cos(delta), np.sin(delta)
