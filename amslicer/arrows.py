@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
 
 STEP_PERIODS = 0.5  # between two samples: a field that turns faster makes no laminate
+CALM_STEPS = 3  # between two places whose directions are compared
 MAX_SAMPLES = 1 << 20  # beyond, samples are further apart
 # Two neighbours whose arrows point more than 135° apart: across the core of a defect they do too, but not beside it.
 OPPOSITE = -float(np.sqrt(0.5))
@@ -39,6 +40,25 @@ def sample_places(painted: Painted, step_mm: float) -> Floats:
     shape = sample_shape(painted, step_mm)
     axes = [(np.arange(n) + 0.5) / n * size for n, size in zip(shape, painted.placement.size_mm, strict=True)]
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
+
+
+def turns_little(painted: Painted, distance_mm: float, degrees: float) -> bool:
+    """Whether the painted direction, as a line, turns by no more than this between places so far apart.
+
+    Looked at between neighbours of a lattice, whose turns are added up along its axes.
+    """
+    if not any(any(sampler.varies) for sampler in painted.orientation.samplers):
+        return True
+    places = sample_places(painted, distance_mm / CALM_STEPS)
+    normals = painted.normals(places.reshape(-1, 3)).reshape(places.shape)
+    turned = 0.0
+    for axis in range(3):
+        a, b = (np.moveaxis(normals, axis, 0)[part] for part in (slice(None, -1), slice(1, None)))
+        if a.size:
+            cosine = np.abs(np.einsum("abcd,abcd->abc", a, b)).min()
+            step_mm = float(painted.placement.size_mm[axis]) / places.shape[axis]
+            turned += np.degrees(np.arccos(min(1.0, float(cosine)))) * distance_mm / step_mm
+    return turned <= degrees
 
 
 def refuse_lines(painted: Painted) -> None:

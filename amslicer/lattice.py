@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from amslicer.evaluator import work_shape
-from amslicer.tiles import TILE_PERIODS, Nodes, Tiling, pixel_nodes
+from amslicer.tiles import Nodes, Tiling, pixel_nodes
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 NODES = 16  # per tile, along x and y: one or two vectors
 TAPS = 6
-OUTSIDE = 1.0  # steps that the nodes reach beyond a tile's sides; pixels near by take lopsided taps
+OUTSIDE = 0.75  # steps that the nodes reach beyond a tile's sides; pixels near by take lopsided taps
 # Relative rms error of G along one axis, for waves along it: the worst direction. About a third of it is the share of
 # pixels that change.
 ERROR = 1e-3
@@ -88,15 +88,18 @@ class Lattice:
         return x.by_vector(work_shape(device, NODES)["VECTOR"]), y, z
 
 
-def choose_lattice(grid: Grid, periods_mm: tuple[float, float], bandwidth: float, *, planar: bool) -> Lattice | None:
-    """The largest tiles of at most TILE_PERIODS periods whose nodes give G within ERROR; None where that saves nothing.
+def choose_lattice(
+    grid: Grid, periods_mm: tuple[float, float], bandwidth: float, *, tile_periods: float, planar: bool
+) -> Lattice | None:
+    """The largest tiles whose nodes give G within ERROR, or None where that saves nothing.
 
     Args:
         periods_mm: the finest and the coarsest period of the job.
         bandwidth: relative to 1/period.
+        tile_periods: no side of a tile is longer, in the finest period.
         planar: 2D: the same pattern in every layer.
     """
-    largest = TILE_PERIODS * periods_mm[0]
+    largest = tile_periods * periods_mm[0]
     law = (periods_mm, bandwidth)
     x, y = (_along_pixels(pitch, largest, law) for pitch in grid.pitch_mm)
     if x is None or y is None:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from amslicer.arrows import refuse_lines, sample_places
+from amslicer.arrows import refuse_lines, sample_places, turns_little
 from amslicer.device import Device
 from amslicer.errors import JobError, UsageError
 from amslicer.grid import Grid, cover
@@ -27,7 +27,7 @@ from amslicer.painted import Painted, open_fields
 from amslicer.pattern import Pattern, make_noise
 from amslicer.placement import Placement, place
 from amslicer.profile import PROFILES
-from amslicer.tiles import Tiling, choose_tiling
+from amslicer.tiles import CALM_DEG, CALM_TILE_PERIODS, TILE_PERIODS, Tiling, choose_tiling
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -123,12 +123,21 @@ def prepare(job: Job) -> Prepared:
         refuse_lines(painted)
     lattice = None
     if spec.pattern.evaluate == "lattice":
-        planar = spec.pattern.dimensions == 2
-        lattice = choose_lattice(grid, painted.period_bounds_mm, spec.pattern.bandwidth, planar=planar)
+        lattice = choose_lattice(
+            grid, painted.period_bounds_mm, spec.pattern.bandwidth, tile_periods=_tile_periods(job, painted),
+            planar=spec.pattern.dimensions == 2,
+        )  # fmt: skip
     tiling = lattice.tiling if lattice else choose_tiling(grid, painted.period_bounds_mm[0])
     _refuse_many_kernels(job, make_noise(job, painted), grid, painted)
     slicer = make_slicer(vertices, mesh.triangles, grid, find_holes(mesh.rim, vertices, grid))
     return Prepared(job, mesh, placement, grid, tiling, lattice, slicer, painted)
+
+
+def _tile_periods(job: Job, painted: Painted) -> float:
+    """How large tiles may be: all kernels of one take their signs from one direction."""
+    finest = painted.period_bounds_mm[0]
+    reach = make_noise(job, painted).radius_mm + CALM_TILE_PERIODS * finest
+    return CALM_TILE_PERIODS if turns_little(painted, reach, CALM_DEG) else TILE_PERIODS
 
 
 def _refuse_huge(job: Job, side_mm: float) -> None:

@@ -29,6 +29,8 @@ if TYPE_CHECKING:
 TILE_PIXELS = (32, 16, 8)  # sides of a tile, in whole vectors; larger ones load a kernel's factors less often
 TILE_LAYERS = (16, 8, 4, 2, 1)  # layers that share a list of kernels
 TILE_PERIODS = 1.5  # a larger tile reaches many kernels that most of its pixels do not, and its one normal is far off
+# A tile where the painted direction turns little: by no more than CALM_DEG over the tile and its kernels' reach.
+CALM_TILE_PERIODS, CALM_DEG = 2.25, 80.0
 SIGN_BIT = np.uint32(0x80000000)  # cl/tile.h: the kernel is taken with the opposite sign
 
 

@@ -104,7 +104,7 @@ def test_a_block_that_does_not_fit_at_once(tmp_path: Path, monkeypatch: pytest.M
 
 def chosen(bandwidth: float, periods: tuple[float, float] = (1.0, 1.0), **grid: Any) -> Lattice:
     settings = {"columns": 900, "rows": 700, "layers": 400, "pitch_mm": (0.0423, 0.0423), "layer_mm": 0.027, **grid}
-    lattice = choose_lattice(Grid(**settings), periods, bandwidth, planar=False)
+    lattice = choose_lattice(Grid(**settings), periods, bandwidth, tile_periods=1.5, planar=False)
     assert lattice is not None
     return lattice
 
@@ -153,7 +153,7 @@ def test_a_lattice_is_never_finer_than_pixels_nor_larger_than_the_period_allows(
         for bandwidth in (0.1, 0.5, 1.0, 2.0):
             for pitch in ((0.0423, 0.0423), (0.0423, 0.0847), (0.01, 0.03)):
                 grid = Grid(900, 700, 400, pitch, 0.027)
-                lattice = choose_lattice(grid, (period, 2 * period), bandwidth, planar=False)
+                lattice = choose_lattice(grid, (period, 2 * period), bandwidth, tile_periods=1.5, planar=False)
                 if lattice is None:
                     continue
                 for nodes, step in zip(lattice.tiling.nodes, (*pitch, 0.027), strict=True):
@@ -165,7 +165,10 @@ def test_a_lattice_is_never_finer_than_pixels_nor_larger_than_the_period_allows(
 
 def test_coarse_pixels_are_evaluated_one_by_one() -> None:
     for planar in (False, True):
-        assert choose_lattice(Grid(90, 70, 40, (0.25, 0.25), 0.3), (1.0, 1.0), 0.5, planar=planar) is None
+        assert (
+            choose_lattice(Grid(90, 70, 40, (0.25, 0.25), 0.3), (1.0, 1.0), 0.5, tile_periods=1.5, planar=planar)
+            is None
+        )
 
 
 def test_a_large_part_has_flat_blocks() -> None:

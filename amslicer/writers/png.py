@@ -28,7 +28,7 @@ MM_PER_M = 1000.0
 def png_files(bitmaps: Bitmaps, pitch_mm: tuple[float, float], compression: str) -> list[tuple[str, str, bytes]]:
     """The layer's files: (path in the stack, material, content), in the order of the materials."""
     return [
-        (layer_path(name, bitmaps.index), name, _encode(rows, bitmaps.width_px, pitch_mm, compression))
+        (layer_path(name, bitmaps.index), name, encode_packed(rows, bitmaps.width_px, pitch_mm, compression))
         for name, rows in zip(bitmaps.materials, bitmaps.rows, strict=True)
     ]
 
@@ -40,10 +40,10 @@ def layer_path(material: str, index: int) -> str:
 
 def encode_png(deposit: NDArray[np.bool_], pitch_mm: tuple[float, float], compression: str = "fast") -> bytes:
     """A 1-bit grey PNG of (H, W) booleans with its pixel size."""
-    return _encode(np.packbits(deposit, axis=1), deposit.shape[1], pitch_mm, compression)
+    return encode_packed(np.packbits(deposit, axis=1), deposit.shape[1], pitch_mm, compression)
 
 
-def _encode(packed: NDArray[np.uint8], width: int, pitch_mm: tuple[float, float], compression: str) -> bytes:
+def encode_packed(packed: NDArray[np.uint8], width: int, pitch_mm: tuple[float, float], compression: str) -> bytes:
     """Rows are deflated unfiltered, which is what 1-bit pictures deflate best as (PNG specification, 12.7).
 
     Pillow takes several times as long to get there (`make bench` prints both).

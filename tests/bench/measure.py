@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import io
 import json
+import os
 import resource
+import shutil
+import subprocess
 import sys
 import tempfile
 import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -20,73 +24,161 @@ from amslicer.device import Device
 from amslicer.pipeline import prepare
 
 SAMPLES = Path(__file__).resolve().parents[2] / "samples"
+LENS_MM = (100.0, 60.0, 11.0)
+LENS_SEGMENTS = 448  # 100 352 triangles
+FIELDS: dict[str, Any] = {
+    "printer": "generic-600dpi", "materials": ["rigid", "flexible"], "pattern": {"period": 1.0, "bandwidth": 0.5},
+    "fields": {
+        "ratio": {"gradient": {"axis": "x", "from": 0.2, "to": 0.7}},
+        "orientation": {"azimuth": {"gradient": {"axis": "y", "from": 0, "to": 90}}, "elevation": 30},
+    },
+}  # fmt: skip
 
 
-def insole(printer: str = "generic-600dpi") -> Job:
-    folder = SAMPLES / "insole"
-    return amslicer.load_job(folder / "fields.yaml", folder / "insole.stl", {"printer": printer})
+def files_of(part: str) -> tuple[Path, Path]:
+    """A part's mesh and fields; the lens is made in the temporary folder."""
+    if part != "lens":
+        return SAMPLES / part / f"{part}.stl", SAMPLES / part / "fields.yaml"
+    folder = Path(tempfile.gettempdir()) / "amslicer-bench"
+    folder.mkdir(exist_ok=True)
+    mesh, fields = folder / "lens.stl", folder / "fields.yaml"
+    if not mesh.exists():
+        import manifold3d
+        import trimesh
+
+        solid = manifold3d.Manifold.sphere(0.5, LENS_SEGMENTS).scale(list(LENS_MM)).to_mesh()
+        trimesh.Trimesh(solid.vert_properties[:, :3], solid.tri_verts, process=False).export(mesh)
+    fields.write_text(json.dumps(FIELDS), encoding="utf-8")
+    return mesh, fields
+
+
+def job_of(part: str, changes: dict[str, Any] | None = None) -> Job:
+    mesh, fields = files_of(part)
+    return amslicer.load_job(fields, mesh, {"printer": "generic-600dpi", **(changes or {})})
 
 
 def peak_mb() -> float:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 
 
-def stages(jobs: int | None, first: int, end: int) -> dict[str, Any]:
-    """Masks alone, then masks and materials, of the insole's layers first … end - 1."""
-    job, run = insole(), Run(jobs=jobs, layers=(first, end))
+def whole(part: str, jobs: str, first: str, end: str, changes: str = "{}") -> dict[str, Any]:
+    """A job from the command line's start to its manifest: the whole process."""
+    mesh, fields = files_of(part)
+    settings = [word for key, value in json.loads(changes).items() for word in ("--set", f"{key}={value}")]
+    with tempfile.TemporaryDirectory() as folder:
+        out = Path(folder) / "out"
+        words = [sys.executable, "-m", "amslicer", str(mesh), "--fields", str(fields), "--printer", "generic-600dpi"]
+        words += ["-o", str(out), *settings, *(["--jobs", jobs] if jobs != "all" else [])]
+        words += ["--layers", f"{first}:{end}"] if end != "all" else []
+        started = time.perf_counter()
+        subprocess.run(words, check=True, capture_output=True)
+        seconds = time.perf_counter() - started
+        used = resource.getrusage(resource.RUSAGE_CHILDREN)
+        manifest = json.loads((out / "manifest.json").read_text())
+        size = sum(p.stat().st_size for p in out.rglob("*.png"))
+        floor = encode_floor(out)
+    grid = manifest["grid"]
+    layers = len(manifest["layers"])
+    return {
+        "seconds": seconds, "solid": manifest["solid_pixels"], "layers": layers, "bytes": size,
+        "pixels": grid["width_px"] * grid["height_px"] * layers, "peak_mb": used.ru_maxrss / 1024, "floor_s": floor,
+    }  # fmt: skip
+
+
+def encode_floor(out: Path) -> float:
+    """Seconds to deflate and write the bitmaps of a stack that are already in memory, on all cores."""
+    from PIL import Image
+
+    from amslicer.storage import write_atomically
+    from amslicer.writers.png import encode_packed
+
+    Image.MAX_IMAGE_PIXELS = None
+    pictures = [Image.open(file) for file in sorted(out.glob("*/[0-9]*.png"))]
+    packed = [(np.packbits(np.asarray(p), axis=1), p.size[0]) for p in pictures]
+
+    def write(numbered: tuple[int, tuple[Any, int]]) -> None:
+        number, (rows, width) = numbered
+        write_atomically(Path(folder) / f"{number}.png", encode_packed(rows, width, (0.0423, 0.0423), "fast"))
+
+    seconds = []
+    with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as pool:
+        for _ in range(3):
+            with tempfile.TemporaryDirectory() as folder:
+                started = time.perf_counter()
+                list(pool.map(write, enumerate(packed)))
+                seconds.append(time.perf_counter() - started)
+    return float(np.median(seconds))
+
+
+def stages(part: str) -> dict[str, Any]:
+    """Seconds of each OpenCL kernel and of the masks, one after another, of a whole part on all cores."""
+    spent: dict[str, float] = {}
+    enqueue = Device.kernel
+
+    def timed(name: str, device: Device, call: Callable[..., Any]) -> Callable[..., Any]:
+        def run(*arguments: Any) -> Any:
+            device.queue.finish()
+            started = time.perf_counter()
+            event = call(*arguments)
+            event.wait()
+            spent[name] = spent.get(name, 0.0) + time.perf_counter() - started
+            return event
+
+        return run
+
+    job = job_of(part)
     prepared = prepare(job)
     started = time.perf_counter()
-    solid = 0
-    for layer in range(first, end, 16):
-        solid += int(prepared.slicer.runs(layer, min(layer + 16, end)).pixels.sum())
+    for layer in range(0, prepared.grid.layers, 16):
+        prepared.slicer.runs(layer, min(layer + 16, prepared.grid.layers))
     masks = time.perf_counter() - started
-    made = amslicer.layers(job, run)
-    next(made)  # compiles, opens the device and makes the first batch
+    next(amslicer.layers(job))  # compiles
+    Device.kernel = lambda self, file, constants=None: timed(file, self, enqueue(self, file, constants))  # type: ignore[method-assign]
     started = time.perf_counter()
-    batch = prepared.tiling.layers
-    counted = sum(1 for _ in made) + 1 - batch
-    evaluate = (time.perf_counter() - started) * (end - first) / counted
-    return {"solid": solid, "masks_s": masks, "evaluate_s": evaluate, "peak_mb": peak_mb()}
+    solid = sum(int(np.count_nonzero(layer.labels)) for layer in amslicer.layers(job))
+    return {"masks_s": masks, "kernels_s": spent, "all_s": time.perf_counter() - started, "solid": solid}
 
 
-def whole(jobs: int | None, first: int, end: int) -> dict[str, Any]:
-    """The insole from job to files."""
-    with tempfile.TemporaryDirectory() as folder:
-        result = amslicer.slice_job(insole(), Path(folder) / "out", run=Run(jobs=jobs, layers=(first, end)))
-        size = sum(p.stat().st_size for p in Path(folder).rglob("*.png"))
-    return {"solid": result.solid_pixels, "seconds": result.seconds, "bytes": size, "peak_mb": peak_mb()}
-
-
-def forms(dimensions: int) -> dict[str, Any]:
-    """G of one layer of a 20 × 20 mm block: rank-1 sums and the per-pixel form, kernel evaluations per second."""
+def forms(dimensions: str) -> dict[str, Any]:
+    """G and material of a 20 × 20 mm block: each pixel by itself, rank-1 sums at each pixel, and the lattice."""
     import trimesh
 
     with tempfile.TemporaryDirectory() as folder:
         part = Path(folder) / "block.stl"
         trimesh.creation.box((20, 20, 4)).export(part)
-        content = {
-            "materials": ["a", "b"],
-            "pattern": {"dimensions": dimensions, "evaluate": "exact"},
-            "fields": {"ratio": 0.3, "orientation": 30},
-        }
-        prepared = prepare(amslicer.load_job(content, part))
-        with Device() as device:
-            pattern = prepared.pattern(device)
-            from amslicer.tiles import all_tiles
+        result: dict[str, Any] = {}
+        for evaluate in ("exact", "lattice"):
+            content = {
+                "printer": "generic-600dpi", "materials": ["a", "b"],
+                "pattern": {"dimensions": int(dimensions), "evaluate": evaluate},
+                "fields": {"ratio": 0.3, "orientation": 30},
+            }  # fmt: skip
+            prepared = prepare(amslicer.load_job(content, part))
+            with Device() as device:
+                pattern = prepared.pattern(device)
+                tiling, grid = prepared.tiling, prepared.grid
+                runs = prepared.slicer.runs(tiling.layers, 2 * tiling.layers)
+                pixels = int(runs.pixels.sum())
 
-            tiling = prepared.tiling
-            rows, columns = tiling.over(prepared.grid)
-            layers = 16 if dimensions == 3 else 1
-            evaluator = pattern.evaluator(tiling, 4, all_tiles((0, 0), (columns, rows)))
-            pixels = evaluator.floats_per_plane // 2 * layers
-            evaluations = len(evaluator.lists.entries) * tiling.nodes[0].count ** 2 * layers
-            result: dict[str, Any] = {"kernels_per_pixel": evaluations / pixels}
-            for name, enqueue, count in (
-                ("rank1", evaluator.field, layers),
-                ("per_pixel", evaluator.field_per_pixel, 1),
-            ):
-                seconds = repeat(lambda e=enqueue, n=count: (e(0, n), device.queue.finish())) * layers / count
-                result[name] = {"mpx_s": pixels / seconds / 1e6, "g_evaluations_s": evaluations / seconds / 1e9}
+                def make(pattern: Any = pattern, runs: Any = runs, tiling: Any = tiling) -> None:
+                    pattern._planar_field = None
+                    pattern.block(runs, tiling.layers).deposits(tiling.layers, 2 * tiling.layers)
+
+                result[evaluate] = pixels / repeat(make) / 1e6
+                if evaluate == "exact":
+                    from amslicer.tiles import all_tiles
+
+                    rows, columns = tiling.over(grid)
+                    layers = tiling.layers if dimensions == "3" else 1
+                    evaluator = pattern.evaluator(tiling, 1, all_tiles((0, 0), (columns, rows)))
+                    nodes = evaluator.floats_per_plane // 2 * layers
+                    evaluations = len(evaluator.lists.entries) * tiling.nodes[0].count ** 2 * layers
+                    result["kernels_per_pixel"] = evaluations / nodes
+                    for name, call, count in (
+                        ("rank1", evaluator.field, layers), ("per_pixel", evaluator.field_per_pixel, 1),
+                    ):  # fmt: skip
+                        seconds = repeat(lambda c=call, n=count, d=device: (c(0, n), d.queue.finish())) * layers / count
+                        result[name] = {"mpx_s": nodes / seconds / 1e6, "g_s": evaluations / seconds / 1e9}
     return result
 
 
@@ -96,7 +188,7 @@ def encode() -> dict[str, Any]:
 
     from amslicer.writers.png import encode_png
 
-    layer = next(amslicer.layers(insole(), Run(layers=(88, 89))))
+    layer = next(amslicer.layers(job_of("insole"), Run(layers=(88, 89))))
     deposit = layer.labels == 1
 
     def pillow() -> None:
@@ -105,6 +197,47 @@ def encode() -> dict[str, Any]:
 
     ours = repeat(lambda: encode_png(deposit, (0.0423, 0.0423)))
     return {"shape": deposit.shape, "ours_ms": 1000 * ours, "pillow_ms": 1000 * repeat(pillow)}
+
+
+PRUSA = """printer_technology = SLA
+display_width = {0}
+display_height = {1}
+display_pixels_x = {2}
+display_pixels_y = {3}
+display_orientation = landscape
+display_mirror_x = 0
+layer_height = 0.027
+initial_layer_height = 0.027
+supports_enable = 0
+pad_enable = 0
+faded_layers = 0
+max_print_height = 200
+bed_shape = 0x0,{0}x0,{0}x{1},0x{1}
+elefant_foot_compensation = 0
+"""
+
+
+def prusa(part: str) -> dict[str, Any]:
+    """PrusaSlicer's masks of the part, one material, same pixels and layers; {} where it is not installed."""
+    program = shutil.which("prusa-slicer")
+    if program is None:
+        return {}
+    mesh, _ = files_of(part)
+    pixels = [int(size / 25.4 * 600) + 20 for size in ((120.0, 45.0) if part == "insole" else LENS_MM[:2])]
+    with tempfile.TemporaryDirectory() as folder:
+        settings = Path(folder) / "sla.ini"
+        settings.write_text(PRUSA.format(*(n * 25.4 / 600 for n in pixels), *pixels))
+        words = [program, "--export-sla", "--load", str(settings), "-o", str(Path(folder) / "out.sl1"), str(mesh)]
+        return {"seconds": repeat(lambda: subprocess.run(words, check=True, capture_output=True), 3)}
+
+
+def start() -> dict[str, Any]:
+    """Seconds of the shortest commands, whole processes."""
+    words = {"import amslicer": ["-c", "import amslicer"], "amslicer --help": ["-m", "amslicer", "--help"]}
+    return {
+        name: repeat(lambda w=w: subprocess.run([sys.executable, *w], check=True, capture_output=True))
+        for name, w in words.items()
+    }
 
 
 def repeat(work: Callable[[], Any], times: int = 5) -> float:
@@ -117,7 +250,10 @@ def repeat(work: Callable[[], Any], times: int = 5) -> float:
     return float(np.median(seconds[1:]))
 
 
+MEASUREMENTS: dict[str, Callable[..., dict[str, Any]]] = {
+    "whole": whole, "stages": stages, "forms": forms, "encode": encode, "prusa": prusa, "start": start,
+}  # fmt: skip
+
 if __name__ == "__main__":
     name, *arguments = sys.argv[1:]
-    numbers = [None if a == "all" else int(a) for a in arguments]
-    print(json.dumps({"stages": stages, "whole": whole, "forms": forms, "encode": encode}[name](*numbers)))  # type: ignore[operator]
+    print(json.dumps(MEASUREMENTS[name](*arguments)))
