@@ -21,23 +21,24 @@ if TYPE_CHECKING:
 
 STEP_PERIODS = 0.5  # between two samples: a field that turns faster makes no laminate
 CALM_STEPS = 3  # between two places whose directions are compared
+CALM_SAMPLES = 1 << 17
 MAX_SAMPLES = 1 << 20  # beyond, samples are further apart
 # Two neighbours whose arrows point more than 135° apart: across the core of a defect they do too, but not beside it.
 OPPOSITE = -float(np.sqrt(0.5))
 
 
-def sample_shape(painted: Painted, step_mm: float) -> tuple[int, int, int]:
-    """How many places along x, y and z stand for the part: at most MAX_SAMPLES, about step_mm apart."""
+def sample_shape(painted: Painted, step_mm: float, most: int = MAX_SAMPLES) -> tuple[int, int, int]:
+    """How many places along x, y and z stand for the part: at most so many, about step_mm apart."""
     size = painted.placement.size_mm * (1.0, 1.0, 0.0 if painted.dimensions == 2 else 1.0)
     counts = np.maximum(1, np.ceil(size / step_mm))
-    while np.prod(counts) > MAX_SAMPLES:
+    while np.prod(counts) > most:
         counts = np.maximum(1, np.ceil(counts * 0.9))
     return int(counts[0]), int(counts[1]), int(counts[2])
 
 
-def sample_places(painted: Painted, step_mm: float) -> Floats:
+def sample_places(painted: Painted, step_mm: float, most: int = MAX_SAMPLES) -> Floats:
     """(nx, ny, nz, 3) places in the part's box, pattern frame, mm: the middles of equal cells."""
-    shape = sample_shape(painted, step_mm)
+    shape = sample_shape(painted, step_mm, most)
     axes = [(np.arange(n) + 0.5) / n * size for n, size in zip(shape, painted.placement.size_mm, strict=True)]
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
 
@@ -49,7 +50,9 @@ def turns_little(painted: Painted, distance_mm: float, degrees: float) -> bool:
     """
     if not any(any(sampler.varies) for sampler in painted.orientation.samplers):
         return True
-    places = sample_places(painted, distance_mm / CALM_STEPS)
+    places = sample_places(painted, distance_mm / CALM_STEPS, CALM_SAMPLES)
+    if np.any(painted.placement.size_mm[: painted.dimensions] > distance_mm * places.shape[: painted.dimensions]):
+        return False  # too large to be looked at closely
     normals = painted.normals(places.reshape(-1, 3)).reshape(places.shape)
     turned = 0.0
     for axis in range(3):

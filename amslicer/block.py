@@ -123,7 +123,7 @@ class Block:
         needed = device.buffer(self._needed_in(first, end))
         buffers, waves = (device.buffer(tiles), device.buffer(slots)), device.buffer(self._waves)
         x, y, z = lattice.by_vector(device)
-        taps = {"TAPS_X": x.count, "TAPS_Y": y.count, "TAPS_Z": z.count}
+        taps = {"TAPS_X": x.count, "TAPS_Y": y.count, "TAPS_Z": z.count, "COLUMNS": len(x.first)}
         for layer, count, thresholds in pattern.threshold_buffers(first, end - first):
             device.kernel("interpolate", {**self._macros(lattice.tiling.nodes[0].count), **taps})(
                 device.queue, (count, len(tiles)), (1, 1), out, field, solid, thresholds, *buffers,

@@ -138,7 +138,7 @@ def slice_job(
             for batch in make_layers(prepared, pattern, pool, chosen, run.threads):
                 encoded = [pool.submit(_encode, made, prepared) for made in batch]
                 waiting.append(disk.submit(_write, out, encoded))
-                collect(BATCHES_WAITING)
+                collect(BATCHES_WAITING if run.threads > 1 else 0)
                 asked += np.sum([made.asked for made in batch], axis=0)
                 overlap_px += sum(made.overlap_px for made in batch)
             collect(0)

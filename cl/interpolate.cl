@@ -1,10 +1,11 @@
-// From G on a tile's lattice to the materials' bitmaps: interpolated along z, then y, then x, with the threshold as the last step.
+// From G on a tile's lattice to the materials' bitmaps: interpolated along z, then x, then y, with the threshold as the last step.
 
 #include "deposit.h"
 
 #define VECTORS (TILE / VECTOR)
 
-// The host defines the nodes that a pixel takes along y and z, TAPS_Y and TAPS_Z, and a vector of pixels along x, TAPS_X.
+// The host defines the nodes that a pixel takes along y and z, TAPS_Y and TAPS_Z, a vector of pixels along x, TAPS_X, and the
+// vectors of a tile's row, COLUMNS.
 // field as rank1.cl leaves it, its first plane being number first_plane of the block; first_*, weights_*: taps of a tile's
 // layers, rows, and vectors of columns; pixels: of a tile along x and y; needed: [tile][layer], one bit for each group of
 // rows that has solid pixels; in_block: number of the first layer in its block. The rest as in profile.cl.
@@ -41,28 +42,34 @@ kernel void interpolate(global uchar *restrict deposits, global const float *res
         ((floatV *)plane)[i] = sum;
     }
 
-    const int group = pixels.y / 8;
-    for (int row = 0; row < pixels.y; ++row) {
-        if (!(wanted >> (row / group) & 1u)) continue;
-        floatV line[2][VECTORS];
-        global const float *y = weights_y + row * TAPS_Y;
-        for (int i = 0; i < 2 * VECTORS; ++i) {
-            const floatV *nodes = (const floatV *)plane[first_y[row]] + i;
-            floatV sum = y[0] * nodes[0];
-            for (int k = 1; k < TAPS_Y; ++k) sum = fma((floatV)y[k], nodes[k * 2 * VECTORS], sum);
-            ((floatV *)line)[i] = sum;
-        }
-        const uint down = (uint)(corner.y + row);
-        for (int v = 0; v < pixels.x / VECTOR; ++v) {
-            global const floatV *x = (global const floatV *)weights_x + v * TAPS_X;
-            const float *nodes = (const float *)line + first_x[v];
+    floatV wide[TILE][2][COLUMNS];
+    for (int v = 0; v < COLUMNS; ++v) {
+        global const floatV *x = (global const floatV *)weights_x + v * TAPS_X;
+        for (int row = 0; row < TILE; ++row) {
+            const float *nodes = (const float *)plane[row] + first_x[v];
             floatV re = x[0] * nodes[0], im = x[0] * nodes[TILE];
             for (int k = 1; k < TAPS_X; ++k) {
                 re = fma(x[k], (floatV)nodes[k], re);
                 im = fma(x[k], (floatV)nodes[TILE + k], im);
             }
-            deposit(re, im, solid + bytes, deposits + (planes + 1) * bytes, profile, corner.x + v * VECTOR, down,
-                    first_layer + layer, wave);
+            wide[row][0][v] = re;
+            wide[row][1][v] = im;
+        }
+    }
+
+    const int group = pixels.y / 8;
+    for (int row = 0; row < pixels.y; ++row) {
+        if (!(wanted >> (row / group) & 1u)) continue;
+        global const float *y = weights_y + row * TAPS_Y;
+        for (int v = 0; v < COLUMNS; ++v) {
+            const floatV *nodes = wide[first_y[row]][0] + v;
+            floatV re = y[0] * nodes[0], im = y[0] * nodes[COLUMNS];
+            for (int k = 1; k < TAPS_Y; ++k) {
+                re = fma((floatV)y[k], nodes[k * 2 * COLUMNS], re);
+                im = fma((floatV)y[k], nodes[(k * 2 + 1) * COLUMNS], im);
+            }
+            deposit(re, im, solid + bytes, deposits + (planes + 1) * bytes, profile, corner.x + v * VECTOR,
+                    (uint)(corner.y + row), first_layer + layer, wave);
         }
     }
 }

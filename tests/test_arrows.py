@@ -16,6 +16,7 @@ import pytest
 from numpy.typing import NDArray
 
 import amslicer
+from amslicer.arrows import turns_little
 from amslicer.pipeline import prepare
 
 FORWARDS = 0.5 + 0.5 / np.sqrt(1 + 0.25 / (4 * np.pi))
@@ -137,3 +138,19 @@ def test_order_outward_from_the_middle(tmp_path: Path) -> None:
     measured = forwards(labels[row, column])
     print(f"outward: {measured:.4f} of the changes go forwards, of straight sheets {FORWARDS:.4f}")
     assert measured >= 0.98
+
+
+@pytest.mark.parametrize(
+    ("orientation", "calm"),
+    [
+        (30, True),
+        ({"vector": [-3, 2, 0]}, True),
+        ({"gradient": {"axis": "x", "from": 0, "to": 180}}, True),  # 4.5° per mm, and distances of 10 mm
+        ({"gradient": {"axis": "x", "from": 0, "to": 720}}, False),
+        ({"gradient": {"axis": "x", "from": 0, "to": 90, "start": 20, "end": 21}}, False),
+        ({"expression": "atan2(y - 20, x - 20)*90/pi"}, False),  # a half-integer defect
+    ],
+)
+def test_where_the_direction_turns_little(tmp_path: Path, orientation: Any, calm: bool) -> None:
+    part = parts.job(parts.plate(tmp_path, SIDE, SIDE), orientation=orientation)
+    assert turns_little(prepare(part).painted, 10.0, 80.0) == calm

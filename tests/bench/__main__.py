@@ -7,18 +7,29 @@ import os
 import platform
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 REPOSITORY = Path(__file__).resolve().parents[2]
-LAYERS = 442  # of the insole at 27 µm
+PARTS = {"insole": "insole", "lens": "lens of 100 k triangles, 100 × 60 × 11 mm"}
+# How cost grows: what changes, and what it is compared with. Layers of the lens, whole processes.
+GROWTH: dict[str, dict[str, Any]] = {
+    "layers 100 to 150": {"layers": (100, 150)},
+    "× 4 layers": {"layers": (50, 250)},
+    "× 4 pixels (1200 dpi)": {"layers": (100, 150), "printer.dpi": 1200},
+    "half the period": {"layers": (100, 150), "pattern.period": 0.5},
+    "bandwidth 1": {"layers": (100, 150), "pattern.bandwidth": 1.0},
+}
 
 
 def measure(name: str, *arguments: object) -> dict[str, Any]:
     """One measurement in a process of its own."""
     words = [sys.executable, "-m", "tests.bench.measure", name, *map(str, arguments)]
     print(f"measuring {name} {' '.join(map(str, arguments))} …", file=sys.stderr, flush=True)
-    done = subprocess.run(words, cwd=REPOSITORY, capture_output=True, text=True, check=True)
+    done = subprocess.run(words, cwd=REPOSITORY, capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise SystemExit(f"{name} failed:\n{done.stderr}")
     return dict(json.loads(done.stdout))
 
 
@@ -33,15 +44,25 @@ def machine() -> str:
 
 def main() -> None:
     """Measures, then prints."""
-    first, end = (192, 256) if "--quick" in sys.argv else (0, LAYERS)
-    measure("forms", 2)  # compiles
+    first, end = (192, 256) if "--quick" in sys.argv else (0, "all")
+    for dimensions in (2, 3):
+        measure("forms", dimensions)  # compiles
     found: dict[str, Any] = {"machine": machine(), "layers": [first, end]}
     found["forms"] = {f"{d}D": measure("forms", d) for d in (2, 3)}
-    found["stages"] = {str(jobs): measure("stages", jobs, first, end) for jobs in (1, 2)}
-    found["whole"] = {str(jobs): measure("whole", jobs, first, end) for jobs in (1, 2)}
+    found["whole"] = {}
+    for part in PARTS:
+        measure("whole", part, "all", 192, 256)  # reads the part, compiles
+        found["whole"][part] = {jobs: measure("whole", part, jobs, first, end) for jobs in ("1", "all")}
+    found["stages"] = {part: measure("stages", part) for part in PARTS}
+    found["peers"] = {part: measure("prusa", part) for part in PARTS}
+    found["growth"] = {}
+    for name, changes in GROWTH.items():
+        settings = {key: value for key, value in changes.items() if key != "layers"}
+        arguments = ("lens", "all", *changes["layers"], json.dumps(settings))
+        measure("whole", *arguments)  # compiles
+        found["growth"][name] = measure("whole", *arguments)
     found["encode"] = measure("encode")
-    middle = (first + end) // 2
-    found["memory"] = {str(n): measure("whole", "all", middle - n // 2, middle + n // 2) for n in (32, 64)}
+    found["start"] = measure("start")
     rows = list(table(found))
     print(f"{found['machine']}\n")
     print("| figure | value |\n|---|---|")
@@ -50,43 +71,56 @@ def main() -> None:
     print("\n" + json.dumps(found))
 
 
-def table(found: dict[str, Any]) -> Any:
+def table(found: dict[str, Any]) -> Iterator[tuple[str, str]]:
     """The rows of the table."""
     for name, form in found["forms"].items():
-        fast, slow = form["rank1"], form["per_pixel"]
+        slow = form["per_pixel"]["mpx_s"]
+        kernels = f"{form['kernels_per_pixel']:.0f} kernels per pixel"
+        yield f"G, {name}, kernel by kernel at each pixel ({kernels})", f"{slow:.2f} Mpx/s"
         yield (
-            f"G, {name}, rank-1 sums ({form['kernels_per_pixel']:.0f} kernels per pixel)",
-            f"{fast['mpx_s']:.1f} Mpx/s, {fast['g_evaluations_s']:.1f} G kernel evaluations/s",
+            f"G, {name}, rank-1 sums at each pixel",
+            f"{form['rank1']['mpx_s']:.0f} Mpx/s, {form['rank1']['g_s']:.1f} G kernel evaluations/s: "
+            f"{form['rank1']['mpx_s'] / slow:.0f} ×",
         )
         yield (
-            f"G, {name}, kernel by kernel at each pixel",
-            f"{slow['mpx_s']:.2f} Mpx/s, {slow['g_evaluations_s']:.2f} G/s; "
-            f"rank-1 is {fast['mpx_s'] / slow['mpx_s']:.0f} ×",
+            f"bitmaps, {name}, block of 20 × 20 mm: at each pixel, and on the lattice",
+            f"{form['exact']:.0f} and {form['lattice']:.0f} Mpx/s: {form['lattice'] / slow:.0f} ×",
         )
-    one, two = found["stages"]["1"], found["stages"]["2"]
-    part = f"insole, 600 dpi, 27 µm, layers {found['layers'][0]} to {found['layers'][1]}"
-    yield f"{part}: masks alone, 1 thread", f"{one['masks_s']:.1f} s"
-    for jobs, stage in (("1", one), ("2", two)):
-        speed = stage["solid"] / stage["evaluate_s"] / 1e6
-        yield f"{part}: exact evaluation, --jobs {jobs}", f"{speed:.1f} solid Mpx/s ({stage['evaluate_s']:.1f} s)"
-    yield "exact evaluation, --jobs 2 over 1", f"{one['evaluate_s'] / two['evaluate_s']:.2f} ×"
+    for part, text in PARTS.items():
+        one, whole = found["whole"][part]["1"], found["whole"][part]["all"]
+        seconds, solid, pixels = whole["seconds"], whole["solid"] / 1e6, whole["pixels"] / 1e6
+        yield (
+            f"{text}: command to manifest, {whole['layers']} layers, {pixels / whole['layers']:.1f} Mpx each",
+            f"{seconds:.1f} s ({solid / seconds:.0f} Mpx/s of {solid:.0f} Mpx solid, {pixels / seconds:.0f} of all), "
+            f"peak memory {whole['peak_mb']:.0f} MB",
+        )
+        floor = whole["floor_s"]
+        yield (
+            f"{text}: encoding and writing the same bitmaps from memory",
+            f"{floor:.2f} s; the whole job is {seconds / floor:.1f} ×, or {(seconds - 2) / floor:.1f} × + 2 s",
+        )
+        if peer := found["peers"][part]:
+            yield (
+                f"{text}: `prusa-slicer --export-sla`, masks of one material",
+                f"{peer['seconds']:.1f} s; the whole job is {whole['seconds'] / peer['seconds']:.2f} ×",
+            )
+        yield f"{text}: --jobs 1", f"{one['seconds']:.1f} s; {one['seconds'] / whole['seconds']:.2f} × all cores"
+        stage = found["stages"][part]
+        kernels = ", ".join(f"{k} {v:.2f}" for k, v in sorted(stage["kernels_s"].items(), key=lambda kv: -kv[1])[:4])
+        yield f"{text}: masks on one core; OpenCL kernels", f"{stage['masks_s']:.2f} s; {kernels} s"
+    base = found["growth"]["layers 100 to 150"]
+    for name, grown in found["growth"].items():
+        yield (
+            f"lens, {name}",
+            f"{grown['seconds']:.2f} s, {grown['seconds'] / base['seconds']:.2f} ×, {grown['peak_mb']:.0f} MB",
+        )
     png = found["encode"]
     height, width = png["shape"]
     yield (
         f"PNG of one material of one layer, {width} × {height} pixels",
-        f"{png['ours_ms']:.1f} ms; Pillow at the same level {png['pillow_ms']:.1f} ms",
+        f"{png['ours_ms']:.1f} ms; Pillow at zlib's fastest {png['pillow_ms']:.1f} ms",
     )
-    one, two = found["whole"]["1"], found["whole"]["2"]
-    for jobs, whole in (("1", one), ("2", two)):
-        speed = whole["solid"] / whole["seconds"] / 1e6
-        yield (
-            f"job to files, --jobs {jobs}",
-            f"{whole['seconds']:.1f} s ({speed:.1f} solid Mpx/s), {whole['bytes'] / 1e6:.0f} MB of files, "
-            f"peak memory {whole['peak_mb']:.0f} MB",
-        )
-    yield "job to files, --jobs 2 over 1", f"{one['seconds'] / two['seconds']:.2f} ×"
-    for count, whole in found["memory"].items():
-        yield f"peak memory of {count} layers", f"{whole['peak_mb']:.0f} MB"
+    yield "start", ", ".join(f"{name} {seconds:.2f} s" for name, seconds in found["start"].items())
 
 
 if __name__ == "__main__":
