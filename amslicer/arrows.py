@@ -51,16 +51,16 @@ def turns_little(painted: Painted, distance_mm: float, degrees: float) -> bool:
     if not any(any(sampler.varies) for sampler in painted.orientation.samplers):
         return True
     places = sample_places(painted, distance_mm / CALM_STEPS, CALM_SAMPLES)
-    if np.any(painted.placement.size_mm[: painted.dimensions] > distance_mm * places.shape[: painted.dimensions]):
-        return False  # too large to be looked at closely
+    steps_mm = (painted.placement.size_mm / places.shape[:3])[: painted.dimensions]
+    if np.any(steps_mm > distance_mm):
+        return False  # too large a part to be looked at closely
     normals = painted.normals(places.reshape(-1, 3)).reshape(places.shape)
     turned = 0.0
     for axis in range(3):
         a, b = (np.moveaxis(normals, axis, 0)[part] for part in (slice(None, -1), slice(1, None)))
         if a.size:
             cosine = np.abs(np.einsum("abcd,abcd->abc", a, b)).min()
-            step_mm = float(painted.placement.size_mm[axis]) / places.shape[axis]
-            turned += np.degrees(np.arccos(min(1.0, float(cosine)))) * distance_mm / step_mm
+            turned += np.degrees(np.arccos(min(1.0, float(cosine)))) * distance_mm / steps_mm[axis]
     return turned <= degrees
 
 
