@@ -22,22 +22,22 @@ LOG = logging.getLogger("amslicer")
 OPTIONS = ("-cl-std=CL1.2",)
 
 
-def build(context: Any, device: Any, name: str, constants: Mapping[str, int]) -> Any:
+def build(context: Any, device: Any, name: str, constants: Mapping[str, int], folder: Path | None = None) -> Any:
     """The program of cl/`name`.cl for one device, compiled or taken from the user's cache.
 
     Args:
         context, device: pyopencl's.
         name: file name in cl/ without its suffix.
         constants: macros that the source expects.
+        folder: of the source, where it is not cl/; headers are those of cl/.
 
     Raises:
         DeviceError: the compiler's own words.
     """
     import pyopencl as cl
 
-    folder = resource_folder("cl")
-    headers = sorted(folder.glob("*.h"))
-    source = folder / f"{name}.cl"
+    headers = sorted(resource_folder("cl").glob("*.h"))
+    source = (folder or resource_folder("cl")) / f"{name}.cl"
     options = [*OPTIONS, *(f"-D{key}={value:d}" for key, value in sorted(constants.items()))]
     place = _cache_name(device, [source, *headers], options)
     binary = read_cached(place)

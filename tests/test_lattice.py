@@ -58,7 +58,7 @@ def device() -> Iterator[Device]:
 
 
 def make(folder: Path, case: dict[str, Any], evaluate: str) -> amslicer.Job:
-    size = (21.0, 17.0, 2.0) if case.get("dimensions") == 3 else (32.0, 26.0, 0.02)
+    size = (21.0, 17.0, 2.6) if case.get("dimensions") == 3 else (32.0, 26.0, 0.02)
     return parts.job(parts.box(folder, size), **{"printer": FINE, "ratio": 0.3, **case}, evaluate=evaluate)
 
 

@@ -11,10 +11,10 @@ from PIL import Image
 from amslicer import Layer
 from amslicer.layer import bitmaps_of
 from amslicer.writers import WRITERS
-from amslicer.writers.png import DEFLATE, encode_png
+from amslicer.writers.png import LEVELS, encode_png
 
 
-@pytest.mark.parametrize("compression", DEFLATE)
+@pytest.mark.parametrize("compression", LEVELS)
 @pytest.mark.parametrize("shape", [(1, 1), (1, 7), (3, 8), (5, 9), (64, 63), (31, 257)])
 def test_png_is_what_pillow_reads(shape: tuple[int, int], compression: str) -> None:
     deposit = np.random.default_rng(1).random(shape) < 0.4

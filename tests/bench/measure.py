@@ -174,12 +174,43 @@ def forms(dimensions: str) -> dict[str, Any]:
                     nodes = evaluator.floats_per_plane // 2 * layers
                     evaluations = len(evaluator.lists.entries) * tiling.nodes[0].count ** 2 * layers
                     result["kernels_per_pixel"] = evaluations / nodes
+                    vectors = vector_form(device, evaluator)
                     for name, call, count in (
                         ("rank1", evaluator.field, layers), ("per_pixel", evaluator.field_per_pixel, 1),
+                        ("per_pixel_vector", vectors, 1),
                     ):  # fmt: skip
                         seconds = repeat(lambda c=call, n=count, d=device: (c(0, n), d.queue.finish())) * layers / count
                         result[name] = {"mpx_s": nodes / seconds / 1e6, "g_s": evaluations / seconds / 1e9}
     return result
+
+
+def vector_form(device: Device, evaluator: Any) -> Callable[[int, int], Any]:
+    """The per-pixel form on explicit vectors; checked against the plain one."""
+    import pyopencl as cl
+
+    from amslicer.evaluator import work_shape
+    from amslicer.program import build
+
+    tile, tiles = evaluator.tiling.nodes[0].count, len(evaluator.lists.tiles)
+    shape = work_shape(device, tile)
+    name = "per_pixel_vector"
+    program = build(device.context, device.device, name, shape, Path(__file__).parent)
+    kernel = cl.Kernel(program, name)
+
+    def field(first: int, count: int) -> Any:
+        out = device.scratch("field", 8 * count * tiles * tile**2)
+        kernel(
+            device.queue, (tile // shape["VECTOR"], tile * tiles, count), (tile // shape["VECTOR"], 1, 1), out,
+            *evaluator._lists, evaluator._shape, *evaluator._axes, evaluator._along_z(first, count),
+            np.uint32(len(evaluator.kernels)), *(np.float32(nodes.step_mm) for nodes in evaluator.tiling.nodes[:2]),
+        )  # fmt: skip
+        return out
+
+    plain, vectors = (np.empty(tiles * tile * tile * 2, np.float32) for _ in range(2))
+    device.read(evaluator.field_per_pixel(0, 1)[0], plain)
+    device.read(field(0, 1), vectors)
+    np.testing.assert_allclose(vectors, plain, atol=1e-4)
+    return field
 
 
 def encode() -> dict[str, Any]:
