@@ -39,11 +39,11 @@ if TYPE_CHECKING:
 
 Progress = Callable[[int, int], None]
 
-# Masks, labels and (where the ratio changes with z) ratios and thresholds of one batch of layers: bounds memory,
-# changes no byte.
+# Bitmaps and (where the ratio changes with z) ratios and thresholds of the layers of a block that are made at a time:
+# changes no byte. The runs and the lattice of a whole block are not in it.
 BATCH_BYTES = 1 << 27
 MASK_BYTES, GRADED_BYTES = 2, 8  # per pixel
-# One layer's thresholds, masks and labels take about 10 bytes per pixel; Pillow reads no larger pictures back.
+# Pillow reads no larger pictures back.
 MAX_LAYER_PIXELS = 170_000_000
 MAX_LAYERS = 1_000_000
 MAX_SIDE_MM = 1e7  # 10 km

@@ -36,7 +36,7 @@ pattern:
   # impulses: {impulses:g}                    # kernels per bandwidth^dimensions
   # profile: {pattern.profile}                   # of several materials: symmetric A B C B A, or cyclic A B C A B C
   # edges: {pattern.edges}                   # or dithered, for very regular sheets along the pixel rows
-  # evaluate: {pattern.evaluate}              # or exact: at every pixel, some ten times slower
+  # evaluate: {pattern.evaluate}              # or exact: at every pixel, several times slower
   seed: {pattern.seed}                          # another seed, another laminate of the same kind
 
 fields:

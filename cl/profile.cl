@@ -4,8 +4,8 @@
 
 // deposits: [layer][material][padded rows][bytes] and solid: [layer][padded rows][bytes], a bit per pixel; field as
 // rank1.cl leaves it; tiles: (column, row) and slots: place in the field of each tile; thresholds:
-// [planes][padded rows][padded columns]; first: the layer of deposits and solid that the field's first layer is; waves: of each tile, rad per column, row and layer; number: of the hash's
-// counter; first_layer: the part's layer that the hash counts the first one as (a planar pattern's all count as one).
+// [planes][padded rows][padded columns]; first: the layer of deposits and solid that the field's first layer is;
+// waves: of each tile, rad per column, row and layer; number: of the hash's counter; first_layer: the part's layer that the hash counts the first one as (a planar pattern's all count as one).
 kernel void profile(global uchar *restrict deposits, global const float *restrict field,
                     global const uchar *restrict solid, global const float *restrict thresholds,
                     global const int2 *restrict tiles, global const uint *restrict slots,
