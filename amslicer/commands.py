@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from amslicer.pipeline import Progress, Run
 
 OF_PARTS = ("fields", "printer", "seed", "scale", "units", "device", "jobs")  # options of a preview before slicing
-DRY_RUN_SAMPLES = 4  # layers made to estimate time and size
 
 
 def slice_command(options: Namespace, check: Callable[[], None]) -> int:
@@ -120,7 +119,7 @@ def _dry_run(job: Job, run: Run, out: Path, options: Namespace) -> int:
     from amslicer.pipeline import estimate
     from amslicer.storage import space_note
 
-    found = estimate(job, run, DRY_RUN_SAMPLES)
+    found = estimate(job, run)
     if note := space_note(out, found.bytes, "the bitmaps will not fit: they take about"):
         found = replace(found, notes=(*found.notes, note))
     _show(options, vars(found), lambda: report.print_estimate(found))

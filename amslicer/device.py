@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import atexit
 import json
 import os
 import subprocess
 import sys
-from contextlib import suppress
+from concurrent.futures import Future
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
-from threading import Lock, Thread
+from threading import Thread
 from typing import TYPE_CHECKING, Any
 
 from amslicer.cache import read_cached, write_cached
@@ -30,7 +31,6 @@ INSTALL_HINT = (
     "`conda install -c conda-forge pocl` (conda), or your GPU vendor's driver; then `amslicer devices --refresh`"
 )
 GROUP = 64  # work-items per group of the simple kernels: fits every device
-_ASKING = Lock()
 
 
 @dataclass(frozen=True)
@@ -102,24 +102,31 @@ def choose_device(substring: str | None = None) -> DeviceInfo:
 
 
 def ask_ahead() -> None:
-    """Starts to ask for the devices in another thread, for whoever needs them soon; says nothing of what goes wrong."""
-
-    def ask() -> None:
-        with suppress(DeviceError):
-            _known_devices()
-
-    Thread(target=ask, daemon=True).start()
+    """Starts to ask for the devices in another thread; what goes wrong is said to whoever needs them."""
+    _asked()
 
 
 def _known_devices() -> tuple[DeviceInfo, ...]:
-    with _ASKING:
-        return _asked_once()
+    try:
+        return _asked().result()
+    except BaseException:
+        _asked.cache_clear()  # it may be mended before someone asks again
+        raise
 
 
 @cache
-def _asked_once() -> tuple[DeviceInfo, ...]:
+def _asked() -> Future[tuple[DeviceInfo, ...]]:
     """The devices, asked for once per process: a probe is a process of its own."""
-    return tuple(list_devices())
+    answer: Future[tuple[DeviceInfo, ...]] = Future()
+
+    def ask() -> None:
+        try:
+            answer.set_result(tuple(list_devices()))
+        except BaseException as error:  # for whoever asks
+            answer.set_exception(error)
+
+    Thread(target=ask, daemon=True).start()
+    return answer
 
 
 class Device:
@@ -273,18 +280,19 @@ def _run_probe(arguments: list[str]) -> tuple[int, str, str] | None:
     package = str(Path(__file__).resolve().parent.parent)
     environment = dict(os.environ)
     environment["PYTHONPATH"] = os.pathsep.join(filter(None, [package, environment.get("PYTHONPATH")]))
-    try:
-        done = subprocess.run(
-            [sys.executable, "-m", "amslicer.probe", *arguments],
-            capture_output=True,
-            text=True,
-            timeout=PROBE_SECONDS,
-            env=environment,
-            check=False,
-        )
-    except subprocess.TimeoutExpired:
-        return None
-    return done.returncode, done.stdout, done.stderr
+    words = [sys.executable, "-m", "amslicer.probe", *arguments]
+    with subprocess.Popen(
+        words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment
+    ) as probe:  # fmt: skip
+        atexit.register(probe.kill)  # when the job is refused meanwhile
+        try:
+            stdout, stderr = probe.communicate(timeout=PROBE_SECONDS)
+        except subprocess.TimeoutExpired:
+            return None
+        finally:
+            probe.kill()
+            atexit.unregister(probe.kill)
+    return probe.returncode, stdout, stderr
 
 
 def _read_verdicts() -> dict[str, str]:

@@ -33,7 +33,9 @@ OUTSIDE = 0.75  # steps that the nodes reach beyond a tile's sides; pixels near 
 ERROR = 1e-3
 MAX_PIXELS, MAX_LAYERS, MAX_PLANES = 128, 128, 16  # of a tile
 STEP_PIXELS = 16  # tiles are whole vectors
-SLAB_BYTES = 192 << 20  # G of a whole layer of tiles
+# G of a whole layer of tiles, at most; per pixel of very large layers, whose ratios and bitmaps take as much.
+SLAB_BYTES, SLAB_BYTES_PER_PIXEL = 192 << 20, 16
+BLOCK_ROWS = 1 << 20  # rows of pixels of all layers of a block: their runs are kept
 WORTH = 0.5  # nodes per pixel: beyond, evaluating the pixels is as fast
 DIRECTIONS = np.linspace(0.0, 1.0, 5)  # cosines between axis and wave that the covariance averages over
 PERIODS = 5  # that it averages over, of a graded period
@@ -105,6 +107,8 @@ def choose_lattice(
     if x is None or y is None:
         return None
     z = _one_plane(grid, largest) if planar else _along_layers(grid, largest, law, x, y)
+    if z is None:
+        return None
     tiling = Tiling((len(x[1].first), len(y[1].first)), len(z[1].first), (x[0], y[0], z[0]))
     nodes, pixels = NODES**2 * z[0].count, tiling.pixels[0] * tiling.pixels[1] * (1 if planar else tiling.layers)
     return Lattice(tiling, (x[1], y[1], z[1])) if nodes <= WORTH * pixels else None
@@ -119,11 +123,19 @@ def _along_pixels(pitch_mm: float, largest_mm: float, law: tuple[tuple[float, fl
     return _each(NODES, pitch_mm) if most >= NODES else None
 
 
-def _along_layers(grid: Grid, largest_mm: float, law: tuple[tuple[float, float], float], x: _Axis, y: _Axis) -> _Axis:
+def _along_layers(
+    grid: Grid, largest_mm: float, law: tuple[tuple[float, float], float], x: _Axis, y: _Axis
+) -> _Axis | None:
+    """None where the nodes take too much memory: small tiles of a large layer."""
     tiles = -(-grid.columns // len(x[1].first)) * -(-grid.rows // len(y[1].first))
-    planes = max(TAPS + 1, min(MAX_PLANES, SLAB_BYTES // (tiles * NODES**2 * 8)))
-    most = max(1, min(MAX_LAYERS, int(largest_mm / grid.layer_mm)))
+    memory = max(SLAB_BYTES, SLAB_BYTES_PER_PIXEL * grid.columns * grid.rows)
+    planes = min(MAX_PLANES, memory // (tiles * NODES**2 * 8))
+    if planes <= TAPS:
+        return None
+    most = max(1, min(MAX_LAYERS, int(largest_mm / grid.layer_mm), BLOCK_ROWS // grid.rows))
     for layers in range(most, TAPS, -1):
+        if _spread(layers, grid.layer_mm, min(planes, layers - 1), law) is None:
+            continue  # nor do fewer planes
         for count in range(TAPS + 1, min(planes, layers - 1) + 1):
             axis = _spread(layers, grid.layer_mm, count, law)
             if axis is not None:

@@ -126,8 +126,11 @@ class Painted:
             coordinates = self.placement.to_field(x, y, z)
             values = [None if r is None else np.broadcast_to(r.scalar(*coordinates), shape) for r in self.ratios]
             self._check_shares(values, coordinates, shape)
-            cumulative = np.stack(list(_cumulative(values)))
-            out[:, first : first + RATIO_ROWS] = np.maximum.accumulate(np.clip(cumulative, 0.0, 1.0), axis=0)
+            rows = out[:, first : first + RATIO_ROWS]
+            for m, share in enumerate(_cumulative(values)):
+                rows[m] = np.clip(share, 0.0, 1.0)
+                if m:
+                    np.maximum(rows[m - 1], rows[m], out=rows[m])
         return out
 
     def _check_shares(

@@ -15,7 +15,7 @@ import numpy as np
 
 from amslicer.mask import Runs, Slicer
 from amslicer.notes import sheet_bounds
-from amslicer.pipeline import Prepared, Run, host_threads, make_layers, prepare
+from amslicer.pipeline import Prepared, Run, make_layers, prepare, workers
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -136,7 +136,7 @@ def laminate(view: View, run: Run) -> Iterator[Layer]:
 
     prepared = view.prepared
     count = prepared.grid.layers
-    with Device(run.device, run.jobs) as device, host_threads(run) as pool:
+    with Device(run.device, run.jobs) as device, workers(run.threads) as pool:
         pattern = prepared.pattern(device)
         for index in sorted({int(share * count) for share in HEIGHTS}):
             for batch in make_layers(prepared, pattern, pool, range(index, index + 1), run.threads):

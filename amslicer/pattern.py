@@ -87,6 +87,10 @@ class Pattern:
         """
         return Block(self, runs, first)
 
+    def sum_ratios(self, layer: int) -> None:
+        """Makes what `asked` needs of a layer. May run in another thread, while no other needs it."""
+        self._sums_until(layer)
+
     def asked(self, runs: Runs, first: int) -> list[list[float]]:
         """Per layer and material, the sum of its painted share over the solid pixels."""
         layer_of_run = runs.row // self.grid.rows

@@ -5,9 +5,9 @@ from __future__ import annotations
 import operator
 import os
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -50,6 +50,7 @@ MAX_SIDE_MM = 1e7  # 10 km
 MAX_KERNELS, MAX_TABLE_BYTES = 20_000_000, 8 << 30  # of one batch of layers: beyond, memory runs out
 MAX_PERIOD_RATIO = 4  # longest to shortest painted period: kernels are drawn at the density of the shortest
 PERIOD_ROUNDING = 1e-9
+ESTIMATE_BLOCKS, ESTIMATE_SHARE, ESTIMATE_SECONDS = 4, 0.25, 5.0  # blocks of layers, at most, but one at least
 
 
 @dataclass(frozen=True)
@@ -232,10 +233,12 @@ def layers(job: Job, run: Run | None = None) -> Iterator[Layer]:
     """
     run = run or Run()
     prepared = prepare(job)
-    with Device(run.device, run.jobs) as device, host_threads(run) as pool:
+    with Device(run.device, run.jobs) as device, workers(run.threads) as pool:
         pattern = prepared.pattern(device)
-        for batch in make_layers(prepared, pattern, pool, layer_range(run, prepared.grid.layers), run.threads):
-            yield from (made.bitmaps.layer() for made in batch)
+        chosen = layer_range(run, prepared.grid.layers)
+        with closing(make_layers(prepared, pattern, pool, chosen, run.threads)) as batches:
+            for batch in batches:
+                yield from (made.bitmaps.layer() for made in batch)
 
 
 def field_of_layer(job: Job, index: int, run: Run | None = None) -> NDArray[np.complex64]:
@@ -277,10 +280,11 @@ class Made:
 
 def make_layers(
     prepared: Prepared, pattern: Pattern, pool: ThreadPoolExecutor, chosen: range, threads: int
-) -> Iterator[list[Made]]:
+) -> Generator[list[Made]]:
     """Batches of layers: masks in the pool's threads, then materials on the device.
 
     With more than one thread, the masks and kernels of a block are made while the device is busy with the one before.
+    Close it before the pool and the device.
     """
     grid = prepared.grid
     graded = len(prepared.painted.materials) - 1 if prepared.painted.ratio_depends_on_z else 0
@@ -294,23 +298,27 @@ def make_layers(
         block.prepare()
         return first, end, runs, block
 
-    for first, end, runs, block in _ahead(begin, pieces(chosen.start, chosen.stop, prepared.tiling.layers), threads):
-        for low in range(first, end, at_once):
-            some = runs.part(low - first, min(end, low + at_once) - first)
-            asked = pattern.asked(some, low)
-            deposits = block.deposits(low, low + some.layers)
-            overlap = [0] * some.layers if some.overlap_px is None else some.overlap_px.tolist()
-            yield [Made(_bitmaps(prepared, low + i, bits), asked[i], overlap[i]) for i, bits in enumerate(deposits)]
+    painted = pool.submit(pattern.sum_ratios, chosen.start)
+    ranges = pieces(chosen.start, chosen.stop, prepared.tiling.layers)
+    with closing(_ahead(begin, ranges, threads)) as blocks:
+        for first, end, runs, block in blocks:
+            painted.result()
+            for low in range(first, end, at_once):
+                some = runs.part(low - first, min(end, low + at_once) - first)
+                asked = pattern.asked(some, low)
+                deposits = block.deposits(low, low + some.layers)
+                overlap = [0] * some.layers if some.overlap_px is None else some.overlap_px.tolist()
+                yield [Made(_bitmaps(prepared, low + i, bits), asked[i], overlap[i]) for i, bits in enumerate(deposits)]
 
 
 def _ahead(
     begin: Callable[[int, int], tuple[int, int, Runs, Block]], ranges: Iterator[tuple[int, int]], threads: int
-) -> Iterator[tuple[int, int, Runs, Block]]:
+) -> Generator[tuple[int, int, Runs, Block]]:
     """Begins each range, the next one while the one before is worked on if there are threads for it."""
     if threads == 1:
         yield from (begin(*some) for some in ranges)
         return
-    with ThreadPoolExecutor(1) as other:
+    with workers(1) as other:
         waiting: Future[tuple[int, int, Runs, Block]] | None = None
         for some in ranges:
             begun = other.submit(begin, *some)
@@ -350,9 +358,9 @@ def _bitmaps(prepared: Prepared, index: int, deposits: NDArray[np.uint8]) -> Bit
 
 
 @contextmanager
-def host_threads(run: Run) -> Iterator[ThreadPoolExecutor]:
-    """A pool of as many threads as the run may use; nothing outlives it."""
-    pool = ThreadPoolExecutor(run.threads)
+def workers(threads: int) -> Iterator[ThreadPoolExecutor]:
+    """A pool of threads; nothing outlives it, and what has not begun when it closes never does."""
+    pool = ThreadPoolExecutor(threads)
     try:
         yield pool
     finally:
@@ -378,31 +386,45 @@ class Estimate:
     notes: tuple[str, ...]
 
 
-def estimate(job: Job, run: Run, samples: int) -> Estimate:
-    """Makes a few layers in memory and scales up their time and size.
+def estimate(job: Job, run: Run) -> Estimate:
+    """Makes some layers in memory and scales up their time and size.
 
-    Args:
-        samples: layers to make, evenly spaced.
+    Whole blocks of layers, since those of one share most of their work: the middle one, and more from all over the part
+    as long as they are few of all and take little time.
     """
     from amslicer.writers import WRITERS
 
     prepared = prepare(job)
     grid, output = prepared.grid, job.spec.output
     chosen = layer_range(run, grid.layers)
-    size, seconds, made = 0, 0.0, 0
-    with Device(run.device, run.jobs) as device, host_threads(run) as pool:
+    blocks = list(pieces(chosen.start, chosen.stop, prepared.tiling.layers))
+    count = max(1, min(ESTIMATE_BLOCKS, int(ESTIMATE_SHARE * len(blocks))))
+    sampled = [blocks[len(blocks) * (2 * i + 1) // (2 * count)] for i in range(count)]
+    sampled.sort(key=lambda block: abs(sum(block) - chosen.start - chosen.stop))
+    size, made = 0, 0
+    with Device(run.device, run.jobs) as device, workers(run.threads) as pool:
         pattern = prepared.pattern(device)
-        # A short run of layers at each place, since neighbours share most of their work; the first only warms up.
-        places = [chosen[len(chosen) * (2 * i + 1) // (2 * samples)] for i in range(min(samples, len(chosen)))]
-        for number, place in enumerate([places[0], *places]):
-            started = time.monotonic()
-            some = range(place, min(place + prepared.tiling.layers, chosen.stop))
-            for batch in make_layers(prepared, pattern, pool, some, run.threads):
-                files = pool.map(lambda m: WRITERS[output.format](m.bitmaps, grid.pitch_mm, output.compression), batch)
-                if number:
+
+        def make(first: int, end: int) -> tuple[int, int]:
+            """Layers made, and bytes of their files."""
+            made = size = 0
+            with closing(make_layers(prepared, pattern, pool, range(first, end), run.threads)) as batches:
+                for batch in batches:
+                    files = pool.map(
+                        lambda m: WRITERS[output.format](m.bitmaps, grid.pitch_mm, output.compression), batch
+                    )
                     size += sum(len(content) for layer in files for _, _, content in layer)
                     made += len(batch)
-            seconds += time.monotonic() - started if number else 0.0
+            return made, size
+
+        make(sampled[0][0], sampled[0][0] + 1)  # compiles
+        started = time.monotonic()
+        for block in sampled:
+            more = make(*block)
+            made, size = made + more[0], size + more[1]
+            seconds = time.monotonic() - started
+            if seconds > ESTIMATE_SECONDS:
+                break
         label = device.label
     share = len(chosen) / made
     return Estimate(

@@ -9,7 +9,8 @@ import time
 import warnings
 from collections import deque
 from collections.abc import Iterator, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, overload
@@ -107,7 +108,7 @@ def slice_job(
     from amslicer.device import Device, ask_ahead
 
     ask_ahead()  # while the pipeline's libraries load and the part is read
-    from amslicer.pipeline import Run, host_threads, layer_range, make_layers, prepare
+    from amslicer.pipeline import Run, layer_range, make_layers, prepare, workers
 
     started = time.monotonic()
     run, out = run or Run(), Path(out)
@@ -119,14 +120,17 @@ def slice_job(
     _warn_of_full_disk(out, prepared, len(chosen))
     with (
         Device(run.device, run.jobs) as device,
-        host_threads(run) as pool,
+        workers(run.threads) as pool,
         opened_folder(out, job, overwrite=overwrite),
     ):
         pattern = prepared.pattern(device)
         records: list[LayerRecord] = []
         asked = np.zeros(len(job.materials))
         overlap_px = 0
-        with ThreadPoolExecutor(1) as disk:  # waits for the disk while others compute
+        with (
+            workers(1) as disk,  # waits for the disk while others compute
+            closing(make_layers(prepared, pattern, pool, chosen, run.threads)) as batches,
+        ):
             waiting: deque[Future[list[LayerRecord]]] = deque()
 
             def collect(most: int) -> None:
@@ -135,7 +139,7 @@ def slice_job(
                     if progress:
                         progress(len(records), len(chosen))
 
-            for batch in make_layers(prepared, pattern, pool, chosen, run.threads):
+            for batch in batches:
                 encoded = [pool.submit(_encode, made, prepared) for made in batch]
                 waiting.append(disk.submit(_write, out, encoded))
                 collect(BATCHES_WAITING if run.threads > 1 else 0)

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from amslicer.components import connected_components
 from amslicer.errors import PartError
 
 if TYPE_CHECKING:
@@ -111,14 +112,9 @@ def _cone_tips(points: Floats, body: Ints, count: int) -> Floats:
 
 def _holes(places: Ints) -> Ints:
     """(E,) number of the connected group that each edge between (E, 2) places belongs to."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
     used, ends = np.unique(places, return_inverse=True)
-    ends = ends.reshape(-1, 2)
-    links = (np.ones(len(ends), dtype=np.int8), (ends[:, 0], ends[:, 1]))
-    _, group = connected_components(coo_array(links, shape=(len(used), len(used))), directed=False)
-    return np.asarray(group[ends[:, 0]], dtype=np.int64)
+    start, end = ends.reshape(-1, 2).T
+    return connected_components(len(used), start, end)[start]
 
 
 def _edge_uses(vertices: Floats, triangles: Ints) -> _EdgeUses:
@@ -160,13 +156,8 @@ def _bodies(uses: _EdgeUses, count: int) -> Ints:
 
 
 def _connected(uses: _EdgeUses, joins: NDArray[np.bool_], count: int) -> Ints:
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
     linked = np.flatnonzero(joins[1:] & (uses.edge[1:] == uses.edge[:-1]))
-    links = (np.ones(len(linked), dtype=np.int8), (uses.triangle[linked], uses.triangle[linked + 1]))
-    _, body = connected_components(coo_array(links, shape=(count, count)), directed=False)
-    return np.asarray(body, dtype=np.int64)
+    return connected_components(count, uses.triangle[linked], uses.triangle[linked + 1])
 
 
 def check_closed(surface: Surface, *, allow_open: bool = False) -> None:

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.sparse import coo_array
 
 from amslicer.mask import expand
 
@@ -31,6 +30,7 @@ TILE_LAYERS = (16, 8, 4, 2, 1)  # layers that share a list of kernels
 TILE_PERIODS = 1.5  # a larger tile reaches many kernels that most of its pixels do not, and its one normal is far off
 # A tile where the painted direction turns little: by no more than CALM_DEG over the tile and its kernels' reach.
 CALM_TILE_PERIODS, CALM_DEG = 2.25, 80.0
+NEEDED_CELLS = 1 << 21  # groups of rows of tiles that are looked at a time: some 50 MB
 SIGN_BIT = np.uint32(0x80000000)  # cl/tile.h: the kernel is taken with the opposite sign
 
 
@@ -175,9 +175,10 @@ def tile_lists(
 
     against = np.einsum("ni,ni->n", kernels.normal[kernel], tile_normals[tile]) < 0
     entry = kernel.astype(np.uint32) | np.where(against, SIGN_BIT, np.uint32(0))
-    # Rows of a CSR matrix keep the order in which their entries are given: by kernel.
-    matrix = coo_array((entry, (tile, kernel)), shape=(len(tiles), len(kernels))).tocsr()
-    return TileLists(tiles, matrix.indptr.astype(np.uint32), matrix.data.astype(np.uint32))
+    # By tile, and within one as they are: by kernel. A stable sort of small integers takes no longer than counting.
+    by_tile = np.argsort(tile.astype(np.min_scalar_type(len(tiles))), kind="stable")
+    starts = np.concatenate([[0], np.cumsum(np.bincount(tile, minlength=len(tiles)))])
+    return TileLists(tiles, starts.astype(np.uint32), entry[by_tile])
 
 
 def needed_tiles(runs: Runs, tiling: Tiling, rows: int) -> tuple[NDArray[np.int32], NDArray[np.uint8]]:
@@ -190,6 +191,18 @@ def needed_tiles(runs: Runs, tiling: Tiling, rows: int) -> tuple[NDArray[np.int3
         (T, 2) column and row of the tiles, by rows; (T, layers) bits, the lowest for a tile's first rows.
     """
     down, across = tiling.over(runs.grid)
+    bits = np.empty((runs.layers, down, across), np.uint8)
+    at_once = max(1, NEEDED_CELLS // (down * across * (tiling.pixels[1] // rows)))
+    for first in range(0, runs.layers, at_once):
+        some = runs.part(first, min(runs.layers, first + at_once))
+        bits[first : first + some.layers] = _needed_bits(some, tiling, rows)
+    tiles = np.argwhere(bits.any(axis=0))
+    return tiles[:, ::-1].astype(np.int32), np.ascontiguousarray(bits[:, tiles[:, 0], tiles[:, 1]].T)
+
+
+def _needed_bits(runs: Runs, tiling: Tiling, rows: int) -> NDArray[np.uint8]:
+    """(layers, tiles down, tiles across) bits of the rows that are needed."""
+    down, across = tiling.over(runs.grid)
     tile, groups = tiling.pixels[0], tiling.pixels[1] // rows
     shape = (runs.layers, down * groups, across + 1)
     layer, row = np.divmod(runs.row, runs.grid.rows)
@@ -198,9 +211,7 @@ def needed_tiles(runs: Runs, tiling: Tiling, rows: int) -> tuple[NDArray[np.int3
     change = np.bincount(line + first, minlength=np.prod(shape)) - np.bincount(line + end, minlength=np.prod(shape))
     change = change.reshape(shape)
     solid = (np.cumsum(change, axis=2)[:, :, :-1] > 0).reshape(runs.layers, down, groups, across)
-    bits = (solid << np.arange(groups, dtype=np.uint8)[:, None]).sum(axis=2, dtype=np.uint8)
-    tiles = np.argwhere(bits.any(axis=0))
-    return tiles[:, ::-1].astype(np.int32), np.ascontiguousarray(bits[:, tiles[:, 0], tiles[:, 1]].T)
+    return np.asarray((solid << np.arange(groups, dtype=np.uint8)[:, None]).sum(axis=2, dtype=np.uint8))
 
 
 def all_tiles(first: tuple[int, int], end: tuple[int, int]) -> NDArray[np.int32]:

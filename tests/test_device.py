@@ -144,6 +144,39 @@ def test_a_driver_that_ends_the_process_is_an_error(monkeypatch: pytest.MonkeyPa
         list_devices()
 
 
+def test_what_went_wrong_ahead_is_said_once_and_then_tried_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    answers = [(-6, "", "aborted"), (0, "[]", "")]
+    monkeypatch.setattr(device, "_run_probe", lambda arguments: answers.pop(0))
+    device._asked.cache_clear()
+    try:
+        device.ask_ahead()
+        with pytest.raises(DeviceError, match="signal 6"):
+            choose_device()
+        with pytest.raises(DeviceError, match="no OpenCL device was found"):
+            choose_device()
+        assert not answers
+    finally:
+        device._asked.cache_clear()
+
+
+def test_a_probe_does_not_outlive_a_job_that_is_refused(tmp_path: Path) -> None:
+    probe, pipe = tmp_path / "probe", tmp_path / "pipe"
+    os.mkfifo(pipe)
+    probe.write_text(
+        f"#!{sys.executable}\nimport time\nout = open({str(pipe)!r}, 'w')\nout.write('begun')\nout.flush()\n"
+        "time.sleep(60)\nout.write(', survived')\n"
+    )
+    probe.chmod(0o755)
+    job = f"import sys; from amslicer import device; sys.executable = {str(probe)!r}; device.ask_ahead(); input()"
+    with (
+        subprocess.Popen([sys.executable, "-c", job], stdin=subprocess.PIPE, text=True) as refused,
+        pipe.open() as said,
+    ):
+        begun = said.read(5)
+        refused.communicate("\n")
+        assert begun + said.read() == "begun"
+
+
 @pytest.mark.parametrize("jobs", [1, 2])
 def test_jobs_bound_the_devices_threads(jobs: int) -> None:
     with Device(jobs=jobs) as opened:

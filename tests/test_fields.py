@@ -806,6 +806,18 @@ def test_fields_follow_the_part(where: str, what: str) -> None:
     )
 
 
+@pytest.mark.parametrize("plane", PLANES)
+@pytest.mark.parametrize("turned", [0, 90, 30])
+def test_a_raster_of_pixels_is_its_points(plane: str, turned: int) -> None:
+    picture = np.random.default_rng(turned).integers(0, 256, (31, 17))
+    field = sampler({"image": "a", "plane": plane, "range": [0.1, 0.7]}, a=png(picture))
+    x, y, z = np.linspace(-0.5, 2.5, 64)[None, :], np.linspace(-0.5, 4.5, 40)[:, None], np.asarray(0.7)
+    raster = field.scalar(*placed(rotate_deg=(0, 0, turned)).to_field(x, y, z))
+    points = [np.ravel(c) for c in np.broadcast_arrays(x, y, z)]
+    expected = field.scalar(*placed(rotate_deg=(0, 0, turned)).to_field(*points))
+    np.testing.assert_array_equal(np.broadcast_to(raster, (40, 64)).ravel(), expected)
+
+
 @pytest.mark.parametrize("move", [(0.0, 0.0, 0.0), (100.0, -250.5, 37.25)])
 def test_a_moved_part_keeps_what_is_stretched_over_it(move: tuple[float, float, float]) -> None:
     """Its own coordinates move along, so mm of the file are other places of it."""

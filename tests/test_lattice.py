@@ -172,11 +172,20 @@ def test_coarse_pixels_are_evaluated_one_by_one() -> None:
 
 
 def test_a_large_part_has_flat_blocks() -> None:
-    """G of a block of 400 × 300 mm stays within some 200 MB."""
-    small, large = chosen(0.5), chosen(0.5, columns=9450, rows=7090)
+    """G of a layer of tiles is bounded: by flatter blocks, and where the flattest are too large, by no lattice."""
+    bed = {"columns": 9450, "rows": 7090}
+    small, large = chosen(0.5), chosen(0.5, **bed)
     assert large.tiling.layers < small.tiling.layers
-    tiles = np.prod(large.tiling.over(Grid(9450, 7090, 400, (0.0423, 0.0423), 0.027)))
-    assert tiles * NODES**2 * 8 * large.tiling.nodes[2].count < 1.1 * 7 * tiles * NODES**2 * 8
+    for lattice, columns, rows in ((small, 900, 700), (large, 9450, 7090)):
+        tiles = np.prod(lattice.tiling.over(Grid(columns, rows, 400, (0.0423, 0.0423), 0.027)))
+        slab = int(tiles) * NODES**2 * 8 * lattice.tiling.nodes[2].count
+        assert slab <= max(192 << 20, 16 * columns * rows)
+    fine = {"layers": 400, "pitch_mm": (0.03, 0.03), "layer_mm": 0.027}
+    for columns, chooses in ((900, True), (9450, False)):
+        grid = Grid(columns, columns, **fine)
+        lattice = choose_lattice(grid, (0.5, 0.5), 0.5, tile_periods=1.5, planar=False)
+        assert (lattice is not None) == chooses
+    assert chosen(0.5, rows=100_000).tiling.layers <= (1 << 20) // 100_000  # whose runs are kept
 
 
 def test_against_the_twin(tmp_path: Path, device: Device) -> None:

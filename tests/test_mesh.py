@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import io
 import os
 from collections.abc import Callable
 from pathlib import Path
@@ -13,10 +14,13 @@ import numpy as np
 import pytest
 import trimesh
 from meshes import Solid
+from scipy.sparse import coo_array, csgraph
 
+from amslicer.components import connected_components
 from amslicer.errors import PartError
 from amslicer.mesh import Mesh, read_mesh
 from amslicer.meshfiles import threemf_package
+from amslicer.meshfiles.stl import read_stl
 
 BOX = meshes.box()  # 3 x 4 x 5
 HOLED: Solid = (BOX[0], BOX[1][:-2])  # without the face at z = 5
@@ -84,6 +88,27 @@ def test_accepts_every_closed_solid(tmp_path: Path, name: str, make: Callable[[]
     np.testing.assert_allclose(mesh.volume_mm3, expected.volume, rtol=1e-5)
     np.testing.assert_allclose(mesh.size_mm, expected.extents, rtol=1e-5)
     assert not mesh.turned
+
+
+@pytest.mark.parametrize("header", [b"", b"solid lies"])
+def test_a_binary_stl_holds_what_trimesh_reads(header: bytes) -> None:
+    sphere = trimesh.creation.icosphere(subdivisions=3)
+    data = meshes.binary_stl((sphere.vertices, sphere.faces), header)
+    soup, other = read_stl(data), trimesh.load(io.BytesIO(data), file_type="stl", process=False)
+    np.testing.assert_array_equal(soup.vertices[soup.triangles], other.triangles)
+
+
+@pytest.mark.parametrize("links", [0, 10, 300, 1000, 3000])
+def test_components_are_scipys(links: int) -> None:
+    a, b = np.random.default_rng(links).integers(0, 1000, (2, links))
+    matrix = coo_array((np.ones(links, np.int8), (a, b)), shape=(1000, 1000))
+    _, expected = csgraph.connected_components(matrix, directed=False)
+    np.testing.assert_array_equal(connected_components(1000, a, b), expected)
+
+
+def test_components_of_a_path_in_any_order() -> None:
+    path = np.random.default_rng(0).permutation(10_000)
+    assert not connected_components(10_000, path[:-1], path[1:]).any()
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import hashlib
 import json
+import threading
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
@@ -17,7 +18,8 @@ import pytest
 from PIL import Image
 
 import amslicer
-from amslicer import Job, Run, StorageError, UsageError, stackfolder, storage
+from amslicer import Job, Run, StorageError, UsageError, stack, stackfolder, storage
+from amslicer.pipeline import prepare
 
 SIZE_MM = (9.0, 6.0, 1.0)
 PRINTER = {"dpi": [300, 150], "layer_mm": 0.1, "margin_px": 3}
@@ -237,6 +239,34 @@ def test_overwrite_never_replaces_what_amslicer_did_not_write(tmp_path: Path, bl
 def test_out_that_is_a_file_is_refused(tmp_path: Path, block: Path) -> None:
     with pytest.raises(UsageError, match="is a file"):
         amslicer.slice_job(block_job(block), block)
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+@pytest.mark.parametrize("stage", ["encoding", "writing", "progress"])
+def test_what_fails_ends_the_job(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, stage: str, jobs: int) -> None:
+    """In any stage, some batches behind the device: nothing goes on, nothing is called finished, no thread is left."""
+    monkeypatch.setattr("amslicer.pipeline.BATCH_BYTES", 1)  # a layer at a time
+    job = parts.job(parts.box(tmp_path, (4.0, 4.0, 4.0)), printer=PRINTER, dimensions=3, ratio=0.3)
+    out, begun, before = tmp_path / "out", [], set(threading.enumerate())
+
+    def fails(*arguments: Any) -> Any:
+        begun.append(1)
+        if len(begun) == 3:
+            raise KeyboardInterrupt if stage == "progress" else RuntimeError("a damaged encoder")
+        return encode(*arguments)
+
+    name, kind = {"encoding": ("_encode", RuntimeError), "writing": ("_write", RuntimeError)}.get(
+        stage, ("", KeyboardInterrupt)
+    )
+    encode = getattr(stack, name) if name else lambda *arguments: None
+    if name:
+        monkeypatch.setattr(stack, name, fails)
+    assert prepare(job).grid.layers == 40
+    with pytest.raises(kind):
+        amslicer.slice_job(job, out, run=Run(jobs=jobs), progress=None if name else fails)
+    assert len(begun) <= 9  # the batches that were waiting, not the whole part
+    assert not (out / "manifest.json").exists()
+    assert set(threading.enumerate()) <= before
 
 
 def test_a_full_disk_leaves_no_half_file(tmp_path: Path, block: Path, monkeypatch: pytest.MonkeyPatch) -> None:

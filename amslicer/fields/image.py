@@ -103,8 +103,16 @@ class ImageSampler:
         c0, c1, fx = self._neighbours((x, y, z)[self.axes[0]], 0)
         r0, r1, fy = self._neighbours((x, y, z)[self.axes[1]], 1)
         v = self.values
-        low = v[r0, c0] + fx * (v[r0, c1] - v[r0, c0])
-        high = v[r1, c0] + fx * (v[r1, c1] - v[r1, c0])
+        if (
+            c0.ndim == r0.ndim == 2 and c0.shape[0] == r0.shape[1] == 1
+        ):  # pixels of a raster: along the rows once per row of texels
+            rows, place = np.unique([r0[:, 0], r1[:, 0]], return_inverse=True)
+            some = v[rows]
+            across = some[:, c0[0]] + fx * (some[:, c1[0]] - some[:, c0[0]])
+            low, high = across[place.reshape(2, -1)]
+        else:
+            low = v[r0, c0] + fx * (v[r0, c1] - v[r0, c0])
+            high = v[r1, c0] + fx * (v[r1, c1] - v[r1, c0])
         result: Floats = low + fy * (high - low)
         return result
 
