@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from amslicer.pattern import Pattern
 
 FIELD_BYTES = 32 << 20  # G at the pixels of some tiles at a time, within a processor's cache
-ROW_GROUPS = 8  # of a tile on a lattice: bits that say which have solid pixels (cl/interpolate.cl)
+ROW_GROUPS = 8  # of a tile on a lattice: a bit each says whether it has solid pixels
 EDGES = (1 << 30) + (1 << 29)  # fourth word of the counters of dithered edges, which no noise uses (noise/kernels.py)
 
 
@@ -44,7 +44,12 @@ class Block:
         self._runs, self._first = runs, first
         self._number, self._in_block = divmod(first, pattern.tiling.layers)
         rows = ROWS if pattern.lattice is None else pattern.tiling.pixels[1] // ROW_GROUPS
-        self._tiles, self._needed = needed_tiles(runs, pattern.tiling, rows)
+        tiles, needed = needed_tiles(runs, pattern.tiling, rows)
+        plain = pattern.plain(tiles)
+        order = np.argsort(plain, kind="stable")
+        self._tiles, self._needed = tiles[order], needed[order]
+        # G is evaluated in the first tiles; one of them stands for G of the plain ones, which nothing reads.
+        self._with_g = min(len(tiles), max(1, int(np.count_nonzero(~plain))))
         self._waves = pattern.waves(self._tiles, self._number)
         self._kept_evaluator: Evaluator | None = None
         self._slab: tuple[Any, int] | None = None
@@ -60,23 +65,45 @@ class Block:
         shape = (end - first, len(pattern.painted.materials), rows, columns // 8)
         bits = np.empty(shape, np.uint8) if len(self._tiles) else np.zeros(shape, np.uint8)
         if len(self._tiles):
+            labels = pattern.planar_labels() if pattern.same_in_all_layers else None  # before scratch buffers are lent
             solid, out = self._solid(first, end), device.scratch("deposits", bits.nbytes)
-            device.fill_zeros(out, bits.nbytes)
-            make = self._from_pixels if pattern.lattice is None else self._from_lattice
-            make(out, solid, first, end)
+            if labels is not None:
+                device.run(
+                    device.kernel("reuse"), len(bits) * rows, out, labels, solid,
+                    np.uint32(bits.shape[1]), np.uint32(rows), np.uint32(columns // 8), np.uint32(len(bits)),
+                )  # fmt: skip
+            else:
+                device.fill_zeros(out, bits.nbytes)
+                self._make(out, solid, first, end)
             device.read(out, bits)
         pattern.forget_ratios()
         return bits[:, :, : pattern.grid.rows, : -(-pattern.grid.columns // 8)]
+
+    def labels(self) -> Any:
+        """The bitmaps of the block's first layer as a device buffer of its own: [material][padded rows][bytes]."""
+        rows, columns = self._pattern.padded
+        size = len(self._pattern.painted.materials) * rows * columns // 8
+        out = self._device.empty(size)
+        self._device.fill_zeros(out, size)
+        self._make(out, self._solid(self._first, self._first + 1), self._first, self._first + 1)
+        return out
 
     def prepare(self) -> None:
         """Finds the kernels of a solid pattern; the first layers would do it else. May run in another thread."""
         if len(self._tiles) and not self._pattern.planar:
             self._evaluator  # noqa: B018
 
+    def _make(self, out: Any, solid: Any, first: int, end: int) -> None:
+        """Enqueues bitmaps of solid pixels into a buffer of zeros."""
+        make = self._from_pixels if self._pattern.lattice is None else self._from_lattice
+        make(out, solid, first, end)
+
     @property
     def _evaluator(self) -> Evaluator:
         if self._kept_evaluator is None:
-            self._kept_evaluator = self._pattern.evaluator(self._pattern.tiling, self._number, self._tiles)
+            self._kept_evaluator = self._pattern.evaluator(
+                self._pattern.tiling, self._number, self._tiles[: self._with_g]
+            )
         return self._kept_evaluator
 
     def _needed_in(self, first: int, end: int) -> NDArray[np.uint8]:
@@ -92,16 +119,19 @@ class Block:
         at_once = max(1, FIELD_BYTES // (8 * tile * tile * layers))
         needed = device.buffer(self._needed_in(first, end))
         graded = list(pattern.threshold_buffers(first, count))
-        for start in range(0, len(tiles), at_once):
-            some = tiles[start : start + at_once]
+        in_block = self._in_block + first - self._first
+        for start, stop in (*pieces_of(0, self._with_g, at_once), *pieces_of(self._with_g, len(tiles), at_once)):
+            some = tiles[start:stop]
             if planar:
                 field, slots = planar.buffer, planar.slot_of_tile[some[:, 1], some[:, 0]]
+                field_tiles = np.uint32(planar.slot_of_tile.size)
+            elif start < self._with_g:
+                field, slots = self._evaluator.field(in_block, count, range(start, stop), needed)
+                field_tiles = np.uint32(len(some))
             else:
-                in_block = self._in_block + first - self._first
-                field, slots = self._evaluator.field(in_block, count, range(start, start + len(some)), needed)
+                slots = np.zeros(len(some), np.uint32)
             buffers = device.buffer(some), device.buffer(slots)
-            waves = device.buffer(self._waves[start : start + at_once])
-            field_tiles = np.uint32(planar.slot_of_tile.size if planar else len(some))
+            waves = device.buffer(self._waves[start:stop])
             for layer, some_layers, thresholds in graded:
                 device.kernel("profile", self._macros(tile))(
                     device.queue, (tile, len(some), some_layers), (tile, 1, 1), out, field, solid, thresholds,
@@ -119,11 +149,13 @@ class Block:
             slots = planar.slot_of_tile[tiles[:, 1], tiles[:, 0]]
         else:
             field, first_plane = self._slab_of(lattice)
-            field_tiles, slots = len(tiles), np.arange(len(tiles), dtype=np.uint32)
+            field_tiles, slots = self._with_g, np.arange(len(tiles), dtype=np.uint32)
+            slots[self._with_g :] = 0
         needed = device.buffer(self._needed_in(first, end))
         buffers, waves = (device.buffer(tiles), device.buffer(slots)), device.buffer(self._waves)
-        x, y, z = lattice.by_vector(device)
-        taps = {"TAPS_X": x.count, "TAPS_Y": y.count, "TAPS_Z": z.count, "COLUMNS": len(x.first)}
+        x, y, z = pattern.taps_by_vector()
+        taps = {"TAPS_X": x.count, "TAPS_Y": y.count, "TAPS_Z": z.count, "COLUMNS": len(x.first),
+                "ROW_GROUPS": ROW_GROUPS}  # fmt: skip
         for layer, count, thresholds in pattern.threshold_buffers(first, end - first):
             device.kernel("interpolate", {**self._macros(lattice.tiling.nodes[0].count), **taps})(
                 device.queue, (count, len(tiles)), (1, 1), out, field, solid, thresholds, *buffers,
@@ -170,3 +202,8 @@ class Block:
             np.uint32(columns // 8), np.uint32(grid.rows), np.uint32(rows), np.uint32(total),
         )  # fmt: skip
         return solid
+
+
+def pieces_of(first: int, end: int, size: int) -> list[tuple[int, int]]:
+    """Half-open ranges of at most so many from first to end."""
+    return [(start, min(end, start + size)) for start in range(first, end, size)]

@@ -74,10 +74,15 @@ class Bitmaps:
 
     def pixels(self) -> dict[str, int]:
         """Pixels per material."""
-        return {
-            name: int(np.bitwise_count(rows).sum(dtype=np.int64))
-            for name, rows in zip(self.materials, self.rows, strict=True)
-        }
+        return {name: _count_bits(rows) for name, rows in zip(self.materials, self.rows, strict=True)}
+
+
+def _count_bits(rows: NDArray[np.uint8]) -> int:
+    """Set bits; 64 at a time."""
+    flat = np.ascontiguousarray(rows).ravel()
+    whole = flat.size // 8 * 8
+    counts = [np.bitwise_count(part).sum(dtype=np.int64) for part in (flat[:whole].view(np.uint64), flat[whole:])]
+    return int(sum(counts))
 
 
 def bitmaps_of(layer: Layer) -> Bitmaps:

@@ -138,6 +138,12 @@ def make_slicer(vertices: Floats, triangles: Ints, grid: Grid, holes: Holes | No
     return Slicer(corners, layer_of_corner.min(axis=1), layer_of_corner.max(axis=1), grid, holes)
 
 
+def all_solid(grid: Grid) -> Runs:
+    """One layer whose pixels are all solid."""
+    row = np.arange(grid.rows)
+    return Runs(1, grid, row, np.zeros_like(row), np.full_like(row, grid.columns))
+
+
 def join_runs(parts: Sequence[Runs]) -> Runs:
     """Consecutive layers' runs as one."""
     layers = np.cumsum([0] + [part.layers for part in parts])

@@ -10,9 +10,10 @@ import numpy as np
 from amslicer.block import Block, PlanarField
 from amslicer.evaluator import Evaluator
 from amslicer.generator import DeviceGenerator
+from amslicer.mask import all_solid
 from amslicer.noise import NOISES
 from amslicer.noise.kernels import Kernels, join_kernels
-from amslicer.profile import PROFILES
+from amslicer.profile import PROFILES, ROUNDING
 from amslicer.tiles import Tiling, all_tiles, choose_tiling
 
 if TYPE_CHECKING:
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
     from amslicer.device import Device
     from amslicer.grid import Grid
     from amslicer.job import Job
-    from amslicer.lattice import Lattice
+    from amslicer.lattice import Lattice, Taps
     from amslicer.mask import Runs
     from amslicer.noise import Noise
     from amslicer.painted import Painted
@@ -66,6 +67,9 @@ class Pattern:
         self._generator = DeviceGenerator(device)
         self._planar_field: PlanarField | None = None
         self._thresholds: Any = None
+        self._planar_labels: Any = None
+        self._plain: NDArray[np.bool_] | None = None
+        self._by_vector: tuple[Taps, Taps, Taps] | None = None
         self._taps: list[Any] | None = None
         self._ratio: dict[int, NDArray[np.float32]] = {}
         self._sums: list[Floats] = []
@@ -149,6 +153,39 @@ class Pattern:
         columns, rows = -(-(grid.columns + margin) // across), -(-(grid.rows + margin) // down)
         return (-(-margin // across) * -1, -(-margin // down) * -1), (columns, rows)
 
+    @property
+    def same_in_all_layers(self) -> bool:
+        """Whether a pixel has the same material in every layer where it is solid."""
+        return self.planar and not self.painted.ratio_depends_on_z
+
+    def planar_labels(self) -> Any:
+        """Bitmaps of a pattern that is the same in all layers, made once, as a device buffer."""
+        if self._planar_labels is None:
+            self._planar_labels = self.block(all_solid(self.grid), 0).labels()
+            self._planar_field = None
+        return self._planar_labels
+
+    @property
+    def may_be_plain(self) -> bool:
+        """Whether some tiles may need no G: a solid pattern whose ratio, the same in all layers, reaches 0 or 1."""
+        bounds = self.painted.share_bounds()
+        reaches = any(low <= ROUNDING or high >= 1 - ROUNDING for low, high in bounds)
+        return reaches and not self.planar and not self.painted.ratio_depends_on_z
+
+    def plain(self, tiles: NDArray[np.int32]) -> NDArray[np.bool_]:
+        """(T,) tiles where every cumulative ratio is 0 or 1 all over: their materials are plain fills."""
+        if not self.may_be_plain:
+            return np.zeros(len(tiles), bool)
+        if self._plain is None:
+            (across, down), ratio = self.tiling.pixels, self.ratio(0)
+            rows, columns = (np.arange(0, n, side) for n, side in zip(ratio.shape[1:], (down, across), strict=True))
+            low, high = (
+                extreme.reduceat(extreme.reduceat(ratio, rows, axis=1), columns, axis=2)
+                for extreme in (np.minimum, np.maximum)
+            )
+            self._plain = np.all((high <= ROUNDING) | (low >= 1 - ROUNDING), axis=0)
+        return np.asarray(self._plain[tiles[:, 1], tiles[:, 0]])
+
     def planar_field(self) -> PlanarField:
         """G of a 2D pattern at the nodes of all tiles, evaluated once."""
         if self._planar_field is None:
@@ -178,11 +215,17 @@ class Pattern:
         waves = self.painted.normals(centres) * (2 * np.pi / self.painted.periods(centres))[:, None]
         return np.pad(waves * (*self.grid.pitch_mm, self.grid.layer_mm), ((0, 0), (0, 1))).astype(np.float32)
 
+    def taps_by_vector(self) -> tuple[Taps, Taps, Taps]:
+        """The lattice's taps as the device takes them."""
+        assert self.lattice is not None
+        if self._by_vector is None:
+            self._by_vector = self.lattice.by_vector(self.device)
+        return self._by_vector
+
     def taps(self) -> list[Any]:
         """First nodes and weights along z, y and vectors along x, as device buffers."""
-        assert self.lattice is not None
         if self._taps is None:
-            arrays = [a for t in self.lattice.by_vector(self.device)[::-1] for a in (t.first, t.weights)]
+            arrays = [a for t in self.taps_by_vector()[::-1] for a in (t.first, t.weights)]
             self._taps = [self.device.buffer(np.ascontiguousarray(a)) for a in arrays]
         return self._taps
 

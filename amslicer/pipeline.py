@@ -290,15 +290,18 @@ def make_layers(
     graded = len(prepared.painted.materials) - 1 if prepared.painted.ratio_depends_on_z else 0
     at_once = layers_at_once(grid, prepared.tiling, graded)
 
+    painted = pool.submit(pattern.sum_ratios, chosen.start)
+
     def begin(first: int, end: int) -> tuple[int, int, Runs, Block]:
         shares = np.array_split(np.arange(first, end), min(threads, end - first))
         parts = pool.map(lambda share: prepared.slicer.runs(int(share[0]), int(share[-1]) + 1), shares)
         runs = join_runs(list(parts))
+        if pattern.may_be_plain:
+            painted.result()
         block = pattern.block(runs, first)
         block.prepare()
         return first, end, runs, block
 
-    painted = pool.submit(pattern.sum_ratios, chosen.start)
     ranges = pieces(chosen.start, chosen.stop, prepared.tiling.layers)
     with closing(_ahead(begin, ranges, threads)) as blocks:
         for first, end, runs, block in blocks:

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
 # Beyond 1 and -3, the keys' ranges: every phase is below or above these thresholds.
 ALWAYS, NEVER = np.float32(-4.0), np.float32(4.0)
+ROUNDING = float(np.finfo(np.float32).eps)  # a ratio this close to 0 or 1 is a plain fill
 
 
 @dataclass(frozen=True)
@@ -48,9 +49,8 @@ class Profile:
         """
         c = np.ascontiguousarray(cumulative, np.float64)
         thresholds = self.key(c).astype(np.float32)
-        rounding = np.finfo(np.float32).eps
-        thresholds[c <= rounding] = NEVER
-        thresholds[c >= 1 - rounding] = ALWAYS
+        thresholds[c <= ROUNDING] = NEVER
+        thresholds[c >= 1 - ROUNDING] = ALWAYS
         return thresholds
 
 

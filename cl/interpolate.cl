@@ -5,7 +5,7 @@
 #define VECTORS (TILE / VECTOR)
 
 // The host defines the nodes that a pixel takes along y and z, TAPS_Y and TAPS_Z, a vector of pixels along x, TAPS_X, and the
-// vectors of a tile's row, COLUMNS.
+// vectors of a tile's row, COLUMNS; ROW_GROUPS groups of a tile's rows have a bit each.
 // field as rank1.cl leaves it, its first plane being number first_plane of the block; first_*, weights_*: taps of a tile's
 // layers, rows, and vectors of columns; pixels: of a tile along x and y; needed: [tile][layer], one bit for each group of
 // rows that has solid pixels; in_block: number of the first layer in its block. The rest as in profile.cl.
@@ -57,7 +57,7 @@ kernel void interpolate(global uchar *restrict deposits, global const float *res
         }
     }
 
-    const int group = pixels.y / 8;
+    const int group = pixels.y / ROW_GROUPS;
     for (int row = 0; row < pixels.y; ++row) {
         if (!(wanted >> (row / group) & 1u)) continue;
         global const float *y = weights_y + row * TAPS_Y;

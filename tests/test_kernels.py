@@ -31,7 +31,7 @@ SIZES = [1, 2, 13, 63, 65, 127, 257]  # one, primes, and either side of powers o
 FILES = sorted(resource_folder("cl").glob("*.cl"))
 # Tile sides and vector widths that work together; the first is what most jobs on most CPUs use.
 SHAPES = [(32, 8), (32, 16), (16, 8), (16, 16), (8, 8)]
-TAPS = {"TAPS_X": 9, "TAPS_Y": 6, "TAPS_Z": 6, "COLUMNS": 3}  # of cl/interpolate.cl
+TAPS = {"TAPS_X": 9, "TAPS_Y": 6, "TAPS_Z": 6, "COLUMNS": 3, "ROW_GROUPS": 8}  # of cl/interpolate.cl
 
 
 def zeroed(device: Device, nbytes: int) -> Any:

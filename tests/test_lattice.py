@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import meshes
 import numpy as np
 import parts
 import pytest
@@ -14,10 +15,13 @@ from numpy.typing import NDArray
 import amslicer
 from amslicer import Run
 from amslicer.device import Device
+from amslicer.evaluator import Evaluator
 from amslicer.grid import Grid
 from amslicer.lattice import ERROR, NODES, Lattice, Taps, choose_lattice
+from amslicer.pattern import Pattern
 from amslicer.pipeline import prepare
 from amslicer.reference import phasor
+from amslicer.tiles import Tiling
 
 Floats = NDArray[np.float64]
 FINE = {"dpi": 600, "layer_um": 27}
@@ -100,6 +104,57 @@ def test_a_block_that_does_not_fit_at_once(tmp_path: Path, monkeypatch: pytest.M
     grid = prepare(job).grid
     monkeypatch.setattr("amslicer.pipeline.BATCH_BYTES", 3 * 2 * grid.columns * grid.rows)
     np.testing.assert_array_equal(parts.labels(job), whole)
+
+
+RAMP = {"expression": "clip((x - 8) / 4, 0, 1)"}
+SQUARE = {"expression": "where(abs(y - 8) < 4, 1, 0)"}
+PLAIN: dict[str, dict[str, Any]] = {
+    "ramp": {"ratio": RAMP}, "square": {"ratio": SQUARE}, "nothing": {"ratio": 0}, "all": {"ratio": 1},
+    "three": {"ratio": {"a": RAMP, "b": 0, "c": "rest"}, "materials": ("a", "b", "c")},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("evaluate", ["lattice", "exact"])
+@pytest.mark.parametrize("case", PLAIN.values(), ids=list(PLAIN))
+def test_tiles_of_one_material_need_no_field(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, case: dict[str, Any], evaluate: str
+) -> None:
+    """Fewer tiles are evaluated, and no byte changes."""
+    settings = {"printer": FINE, "dimensions": 3, "orientation": 30, "evaluate": evaluate, **case}
+    job = parts.job(parts.box(tmp_path, (20.0, 16.0, 0.5)), **settings)
+    counts: list[int] = []
+    evaluator = Pattern.evaluator
+
+    def counting(self: Pattern, tiling: Tiling, block: int, tiles: NDArray[np.int32]) -> Evaluator:
+        counts.append(len(tiles))
+        return evaluator(self, tiling, block, tiles)
+
+    monkeypatch.setattr(Pattern, "evaluator", counting)
+    some, of_some = parts.labels(job), max(counts)
+    counts.clear()
+    monkeypatch.setattr(Pattern, "may_be_plain", False)
+    np.testing.assert_array_equal(some, parts.labels(job))
+    assert of_some < 0.75 * max(counts)
+
+
+@pytest.mark.parametrize("evaluate", ["lattice", "exact"])
+@pytest.mark.parametrize("edges", ["sharp", "dithered"])
+def test_a_flat_pattern_is_labelled_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, edges: str, evaluate: str
+) -> None:
+    """What layers show of it is what each would be by itself."""
+    settings = {
+        "printer": {"dpi": 600, "layer_um": 400},
+        "orientation": 30,
+        "edges": edges,
+        "evaluate": evaluate,
+        "ratio": PAINTED,
+    }
+    job = parts.job(parts.stl(tmp_path, meshes.sphere(8.0)), **settings)
+    once = parts.labels(job)
+    assert len({layer.tobytes() for layer in once}) >= 20
+    monkeypatch.setattr(Pattern, "same_in_all_layers", False)
+    np.testing.assert_array_equal(once, parts.labels(job))
 
 
 def chosen(bandwidth: float, periods: tuple[float, float] = (1.0, 1.0), **grid: Any) -> Lattice:

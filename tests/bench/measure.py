@@ -161,7 +161,7 @@ def forms(dimensions: str) -> dict[str, Any]:
                 pixels = int(runs.pixels.sum())
 
                 def make(pattern: Any = pattern, runs: Any = runs, tiling: Any = tiling) -> None:
-                    pattern._planar_field = None
+                    pattern._planar_field = pattern._planar_labels = None
                     pattern.block(runs, tiling.layers).deposits(tiling.layers, 2 * tiling.layers)
 
                 result[evaluate] = pixels / repeat(make) / 1e6
