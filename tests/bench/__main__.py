@@ -12,14 +12,21 @@ from pathlib import Path
 from typing import Any
 
 REPOSITORY = Path(__file__).resolve().parents[2]
-PARTS = {"insole": "insole", "lens": "lens of 100 k triangles, 100 × 60 × 11 mm"}
+PARTS = {
+    "cross_plate": "cross_plate (2D)", "insole": "insole",
+    "lens": "lens of 100 k triangles, 100 × 60 × 11 mm",
+}  # fmt: skip
+PEERS = {"prusa": "`prusa-slicer --export-sla`", "stltovoxel": "`stltovoxel`"}
+TIMES = 3  # whole processes: the median
 # How cost grows: what changes, and what it is compared with. Layers of the lens, whole processes.
 GROWTH: dict[str, dict[str, Any]] = {
-    "layers 100 to 150": {"layers": (100, 150)},
-    "× 4 layers": {"layers": (50, 250)},
-    "× 4 pixels (1200 dpi)": {"layers": (100, 150), "printer.dpi": 1200},
-    "half the period": {"layers": (100, 150), "pattern.period": 0.5},
-    "bandwidth 1": {"layers": (100, 150), "pattern.bandwidth": 1.0},
+    "one layer": {"layers": (200, 201)},
+    "layers 160 to 240": {"layers": (160, 240)},
+    "× 4 layers": {"layers": (40, 360)},
+    "× 4 pixels (1200 dpi)": {"layers": (160, 240), "printer.dpi": 1200},
+    "× 4 triangles": {"layers": (160, 240), "part": "fine lens"},
+    "half the period": {"layers": (160, 240), "pattern.period": 0.5},
+    "bandwidth 1": {"layers": (160, 240), "pattern.bandwidth": 1.0},
 }
 
 
@@ -51,16 +58,20 @@ def main() -> None:
     found["forms"] = {f"{d}D": measure("forms", d) for d in (2, 3)}
     found["whole"] = {}
     for part in PARTS:
-        measure("whole", part, "all", 192, 256)  # reads the part, compiles
-        found["whole"][part] = {jobs: measure("whole", part, jobs, first, end) for jobs in ("1", "all")}
+        measure("whole", part, "all", 192, 256 if part != "cross_plate" else "all")  # reads the part, compiles
+        runs: dict[str, list[dict[str, Any]]] = {"1": [], "all": []}
+        for time in range(TIMES):
+            for jobs, made in runs.items():
+                made.append(measure("whole", part, jobs, first, end, "{}", "floor" if time == 0 else ""))
+        found["whole"][part] = {jobs: median(made) for jobs, made in runs.items()}
     found["stages"] = {part: measure("stages", part) for part in PARTS}
-    found["peers"] = {part: measure("prusa", part) for part in PARTS}
+    found["peers"] = {part: {peer: measure(peer, part) for peer in PEERS} for part in PARTS}
     found["growth"] = {}
     for name, changes in GROWTH.items():
-        settings = {key: value for key, value in changes.items() if key != "layers"}
-        arguments = ("lens", "all", *changes["layers"], json.dumps(settings))
+        settings = {key: value for key, value in changes.items() if key not in ("layers", "part")}
+        arguments = (changes.get("part", "lens"), "all", *changes["layers"], json.dumps(settings))
         measure("whole", *arguments)  # compiles
-        found["growth"][name] = measure("whole", *arguments)
+        found["growth"][name] = median([measure("whole", *arguments) for _ in range(TIMES)])
     found["encode"] = measure("encode")
     found["start"] = measure("start")
     rows = list(table(found))
@@ -69,6 +80,12 @@ def main() -> None:
     for name, value in rows:
         print(f"| {name} | {value} |")
     print("\n" + json.dumps(found))
+
+
+def median(runs: list[dict[str, Any]]) -> dict[str, Any]:
+    """The run of median time, with the first one's floor and the largest memory."""
+    middle = sorted(runs, key=lambda run: float(run["seconds"]))[len(runs) // 2]
+    return {**middle, "floor_s": runs[0]["floor_s"], "peak_mb": max(run["peak_mb"] for run in runs)}
 
 
 def table(found: dict[str, Any]) -> Iterator[tuple[str, str]]:
@@ -99,22 +116,26 @@ def table(found: dict[str, Any]) -> Iterator[tuple[str, str]]:
         floor = whole["floor_s"]
         yield (
             f"{text}: encoding and writing the same bitmaps from memory",
-            f"{floor:.2f} s; the whole job is {seconds / floor:.1f} ×, or {(seconds - 2) / floor:.1f} × + 2 s",
+            f"{floor:.2f} s; the whole job is {seconds / floor:.1f} ×, or {max(0.0, seconds - 2) / floor:.1f} × + 2 s",
         )
-        if peer := found["peers"][part]:
-            yield (
-                f"{text}: `prusa-slicer --export-sla`, masks of one material",
-                f"{peer['seconds']:.1f} s; the whole job is {whole['seconds'] / peer['seconds']:.2f} ×",
-            )
+        for peer, name in PEERS.items():
+            if made := found["peers"][part][peer]:
+                yield (
+                    f"{text}: {name}, masks of one material",
+                    f"{made['seconds']:.1f} s; the whole job is {whole['seconds'] / made['seconds']:.2f} ×",
+                )
         yield f"{text}: --jobs 1", f"{one['seconds']:.1f} s; {one['seconds'] / whole['seconds']:.2f} × all cores"
         stage = found["stages"][part]
         kernels = ", ".join(f"{k} {v:.2f}" for k, v in sorted(stage["kernels_s"].items(), key=lambda kv: -kv[1])[:4])
         yield f"{text}: masks on one core; OpenCL kernels", f"{stage['masks_s']:.2f} s; {kernels} s"
-    base = found["growth"]["layers 100 to 150"]
-    for name, grown in found["growth"].items():
+    one, base = found["growth"]["one layer"], found["growth"]["layers 160 to 240"]
+    yield "lens, one layer: what starting takes", f"{one['seconds']:.2f} s"
+    for name, grown in list(found["growth"].items())[1:]:
+        net, base_net = grown["seconds"] - one["seconds"], base["seconds"] - one["seconds"]
         yield (
             f"lens, {name}",
-            f"{grown['seconds']:.2f} s, {grown['seconds'] / base['seconds']:.2f} ×, {grown['peak_mb']:.0f} MB",
+            f"{grown['seconds']:.2f} s, {net:.2f} s more than one layer: {net / base_net:.2f} × for "
+            f"{grown['solid'] / base['solid']:.2f} × the solid pixels; {grown['peak_mb']:.0f} MB",
         )
     png = found["encode"]
     height, width = png["shape"]

@@ -25,7 +25,8 @@ from amslicer.pipeline import prepare
 
 SAMPLES = Path(__file__).resolve().parents[2] / "samples"
 LENS_MM = (100.0, 60.0, 11.0)
-LENS_SEGMENTS = 448  # 100 352 triangles
+LENS_SEGMENTS = {"lens": 448, "fine lens": 896}  # 100 352 and 401 408 triangles
+SIZES_MM = {"insole": (120.0, 45.0), "cross_plate": (60.0, 60.0)}  # of the samples
 FIELDS: dict[str, Any] = {
     "printer": "generic-600dpi", "materials": ["rigid", "flexible"], "pattern": {"period": 1.0, "bandwidth": 0.5},
     "fields": {
@@ -36,17 +37,17 @@ FIELDS: dict[str, Any] = {
 
 
 def files_of(part: str) -> tuple[Path, Path]:
-    """A part's mesh and fields; the lens is made in the temporary folder."""
-    if part != "lens":
+    """A part's mesh and fields; lenses are made in the temporary folder."""
+    if part not in LENS_SEGMENTS:
         return SAMPLES / part / f"{part}.stl", SAMPLES / part / "fields.yaml"
     folder = Path(tempfile.gettempdir()) / "amslicer-bench"
     folder.mkdir(exist_ok=True)
-    mesh, fields = folder / "lens.stl", folder / "fields.yaml"
+    mesh, fields = folder / f"{part.replace(' ', '_')}.stl", folder / "fields.yaml"
     if not mesh.exists():
         import manifold3d
         import trimesh
 
-        solid = manifold3d.Manifold.sphere(0.5, LENS_SEGMENTS).scale(list(LENS_MM)).to_mesh()
+        solid = manifold3d.Manifold.sphere(0.5, LENS_SEGMENTS[part]).scale(list(LENS_MM)).to_mesh()
         trimesh.Trimesh(solid.vert_properties[:, :3], solid.tri_verts, process=False).export(mesh)
     fields.write_text(json.dumps(FIELDS), encoding="utf-8")
     return mesh, fields
@@ -61,8 +62,8 @@ def peak_mb() -> float:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 
 
-def whole(part: str, jobs: str, first: str, end: str, changes: str = "{}") -> dict[str, Any]:
-    """A job from the command line's start to its manifest: the whole process."""
+def whole(part: str, jobs: str, first: str, end: str, changes: str = "{}", floor: str = "") -> dict[str, Any]:
+    """A job from the command line's start to its manifest: the whole process. With its floor, if asked."""
     mesh, fields = files_of(part)
     settings = [word for key, value in json.loads(changes).items() for word in ("--set", f"{key}={value}")]
     with tempfile.TemporaryDirectory() as folder:
@@ -76,12 +77,12 @@ def whole(part: str, jobs: str, first: str, end: str, changes: str = "{}") -> di
         used = resource.getrusage(resource.RUSAGE_CHILDREN)
         manifest = json.loads((out / "manifest.json").read_text())
         size = sum(p.stat().st_size for p in out.rglob("*.png"))
-        floor = encode_floor(out)
+        floor_s = encode_floor(out) if floor else 0.0
     grid = manifest["grid"]
     layers = len(manifest["layers"])
     return {
         "seconds": seconds, "solid": manifest["solid_pixels"], "layers": layers, "bytes": size,
-        "pixels": grid["width_px"] * grid["height_px"] * layers, "peak_mb": used.ru_maxrss / 1024, "floor_s": floor,
+        "pixels": grid["width_px"] * grid["height_px"] * layers, "peak_mb": used.ru_maxrss / 1024, "floor_s": floor_s,
     }  # fmt: skip
 
 
@@ -254,12 +255,27 @@ def prusa(part: str) -> dict[str, Any]:
     if program is None:
         return {}
     mesh, _ = files_of(part)
-    pixels = [int(size / 25.4 * 600) + 20 for size in ((120.0, 45.0) if part == "insole" else LENS_MM[:2])]
+    pixels = [int(size / 25.4 * 600) + 20 for size in SIZES_MM.get(part, LENS_MM)[:2]]
     with tempfile.TemporaryDirectory() as folder:
         settings = Path(folder) / "sla.ini"
         settings.write_text(PRUSA.format(*(n * 25.4 / 600 for n in pixels), *pixels))
         words = [program, "--export-sla", "--load", str(settings), "-o", str(Path(folder) / "out.sl1"), str(mesh)]
         return {"seconds": repeat(lambda: subprocess.run(words, check=True, capture_output=True), 3)}
+
+
+def stltovoxel(part: str) -> dict[str, Any]:
+    """stltovoxel's masks of the part, same pixels and layers; {} where it is not installed."""
+    program = shutil.which("stltovoxel", path=os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]]))
+    if program is None:
+        return {}
+    mesh, _ = files_of(part)
+    grid = prepare(job_of(part)).grid
+    with tempfile.TemporaryDirectory() as folder:
+        counts = map(str, (grid.columns, grid.rows, grid.layers))
+        words = [program, "--resolution-xyz", *counts, str(mesh), str(Path(folder) / "out.png")]
+        started = time.perf_counter()
+        subprocess.run(words, check=True, capture_output=True)
+        return {"seconds": time.perf_counter() - started}
 
 
 def start() -> dict[str, Any]:
@@ -282,7 +298,8 @@ def repeat(work: Callable[[], Any], times: int = 5) -> float:
 
 
 MEASUREMENTS: dict[str, Callable[..., dict[str, Any]]] = {
-    "whole": whole, "stages": stages, "forms": forms, "encode": encode, "prusa": prusa, "start": start,
+    "whole": whole, "stages": stages, "forms": forms, "encode": encode, "prusa": prusa,
+    "stltovoxel": stltovoxel, "start": start,
 }  # fmt: skip
 
 if __name__ == "__main__":
