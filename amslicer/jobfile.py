@@ -244,7 +244,6 @@ def _refuse_unbuilt(spec: JobFile, origin: Origin) -> None:
     refusals: tuple[tuple[bool, KeyPath, str, str], ...] = (
         (pattern.noise not in NOISES, ("pattern", "noise"), f"'{pattern.noise}'", ", ".join(NOISES)),
         (pattern.profile not in PROFILES, ("pattern", "profile"), f"'{pattern.profile}'", ", ".join(PROFILES)),
-        (pattern.alignment != 0, ("pattern", "alignment"), f"{pattern.alignment}", "0"),
     )
     for refused, path, what, built in refusals:
         if refused:

@@ -35,6 +35,7 @@ MAX_PIXELS, MAX_LAYERS, MAX_PLANES = 128, 128, 16  # of a tile
 STEP_PIXELS = 16  # tiles are whole vectors
 # G of a whole layer of tiles, at most; per pixel of very large layers, whose ratios and bitmaps take as much.
 SLAB_BYTES, SLAB_BYTES_PER_PIXEL = 192 << 20, 16
+FLAT_BYTES = 512 << 20  # of the flattest blocks
 BLOCK_ROWS = 1 << 20  # rows of pixels of all layers of a block: their runs are kept
 WORTH = 0.5  # nodes per pixel: beyond, evaluating the pixels is as fast
 DIRECTIONS = np.linspace(0.0, 1.0, 5)  # cosines between axis and wave that the covariance averages over
@@ -129,16 +130,20 @@ def _along_layers(
     """None where the nodes take too much memory: small tiles of a large layer."""
     tiles = -(-grid.columns // len(x[1].first)) * -(-grid.rows // len(y[1].first))
     memory = max(SLAB_BYTES, SLAB_BYTES_PER_PIXEL * grid.columns * grid.rows)
-    planes = min(MAX_PLANES, memory // (tiles * NODES**2 * 8))
+    plane = tiles * NODES**2 * 8
+    planes = min(MAX_PLANES, memory // plane)
     if planes <= TAPS:
-        return None
+        planes = TAPS + 1
+        if planes * plane > FLAT_BYTES:
+            return None
+    pixels = len(x[1].first) * len(y[1].first)
     most = max(1, min(MAX_LAYERS, int(largest_mm / grid.layer_mm), BLOCK_ROWS // grid.rows))
     for layers in range(most, TAPS, -1):
         if _spread(layers, grid.layer_mm, min(planes, layers - 1), law) is None:
             continue  # nor do fewer planes
         for count in range(TAPS + 1, min(planes, layers - 1) + 1):
             axis = _spread(layers, grid.layer_mm, count, law)
-            if axis is not None:
+            if axis is not None and count * NODES**2 <= WORTH * layers * pixels:
                 return axis
     return _each(min(most, planes), grid.layer_mm)
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from amslicer.spread import FEW_KERNELS, amplitudes, harmonic_variance
+from amslicer.spread import ALIGNED_SHARE, FEW_KERNELS, amplitudes, harmonic_variance
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
@@ -35,7 +35,7 @@ WAVE_OFF, CYCLES_OFF = 0.56, 0.5
 
 def locking_error(
     cumulative: ArrayLike, *, profile: str, cycles_per_pixel: ArrayLike, extents_px: ArrayLike,
-    width_per_pixel: ArrayLike,
+    width_per_pixel: ArrayLike, aligned: bool = False,
 ) -> Floats:  # fmt: skip
     """The worst plausible error of each material's ratio over a part from pixel locking.
 
@@ -46,17 +46,17 @@ def locking_error(
         extents_px: (2,) or (3,) pixels (and layers) across the part's bounding box; a part that fills it badly locks
             more.
         width_per_pixel: B·pitch_i/p, the envelope's width b in pixels: one number, or one per axis.
+        aligned: phases are, so that the laminate does not wander: it is a grating of the painted wave.
 
     Returns:
         (M,) errors, all positive.
     """
     ends = np.concatenate([[0.0], np.asarray(cumulative, np.float64).reshape(-1), [1.0]])
     extents = np.asarray(extents_px, np.float64)
-    off = np.minimum(WAVE_OFF * np.asarray(width_per_pixel, np.float64), CYCLES_OFF / extents)
+    width = np.asarray(width_per_pixel, np.float64) * (ALIGNED_SHARE if aligned else 1.0)
+    off: Floats | float = 0.0 if aligned else np.minimum(WAVE_OFF * width, CYCLES_OFF / extents)
     cycles = np.asarray(cycles_per_pixel, np.float64)
-    amplitude, variance = _locked(
-        ends[:-1], ends[1:], profile, cycles, extents, width_per_pixel, off, LOCKING_HARMONICS
-    )
+    amplitude, variance = _locked(ends[:-1], ends[1:], profile, cycles, extents, width, off, LOCKING_HARMONICS)
     return np.asarray(PLAUSIBLE * np.sqrt(np.sum(amplitude**2 / 2 * variance, axis=-1)))
 
 

@@ -153,7 +153,7 @@ def locking_notes(prepared: Prepared) -> Iterator[str]:
         painted.ratio_map(coarse, 0).mean(axis=(1, 2)), profile=spec.pattern.profile,
         cycles_per_pixel=normals[0, :axes] * pitch / shortest,
         extents_px=np.array([grid.columns, grid.rows, grid.layers])[:axes],
-        width_per_pixel=spec.pattern.bandwidth * pitch / shortest,
+        width_per_pixel=spec.pattern.bandwidth * pitch / shortest, aligned=spec.pattern.alignment > 0,
     )  # fmt: skip
     worst = int(np.argmax(errors))
     if errors[worst] > LOCKED_SHARE:

@@ -12,6 +12,7 @@ from amslicer.evaluator import Evaluator
 from amslicer.generator import DeviceGenerator
 from amslicer.mask import all_solid
 from amslicer.noise import NOISES
+from amslicer.noise.alignment import Aligned
 from amslicer.noise.kernels import Kernels, join_kernels
 from amslicer.profile import PROFILES, ROUNDING
 from amslicer.tiles import Tiling, all_tiles, choose_tiling
@@ -56,7 +57,9 @@ class Pattern:
         self.tiling = tiling
         self.lattice = lattice
         self.device = device
-        self.noise = make_noise(job, painted)
+        self.noise: Noise = make_noise(job, painted)
+        if job.spec.pattern.alignment:
+            self.noise = Aligned(self.noise, job.spec.pattern.alignment, painted.placement.size_mm)
         self.planar = job.spec.pattern.dimensions == 2
         self.profile = PROFILES[job.spec.pattern.profile]
         self.dithered = job.spec.pattern.edges == "dithered"

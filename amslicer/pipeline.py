@@ -51,6 +51,7 @@ MAX_KERNELS, MAX_TABLE_BYTES = 20_000_000, 8 << 30  # of one batch of layers: be
 MAX_PERIOD_RATIO = 4  # longest to shortest painted period: kernels are drawn at the density of the shortest
 PERIOD_ROUNDING = 1e-9
 ESTIMATE_BLOCKS, ESTIMATE_SHARE, ESTIMATE_SECONDS = 4, 0.25, 5.0  # blocks of layers, at most, but one at least
+ESTIMATE_LAYERS = 8  # for the size
 
 
 @dataclass(frozen=True)
@@ -392,8 +393,8 @@ class Estimate:
 def estimate(job: Job, run: Run) -> Estimate:
     """Makes some layers in memory and scales up their time and size.
 
-    Whole blocks of layers, since those of one share most of their work: the middle one, and more from all over the part
-    as long as they are few of all and take little time.
+    The size is that of single layers from all over the part. The time is that of whole blocks of layers, since those of
+    one share most of their work: half of it is taken to go with the number of layers, half with what is solid in them.
     """
     from amslicer.writers import WRITERS
 
@@ -403,14 +404,13 @@ def estimate(job: Job, run: Run) -> Estimate:
     blocks = list(pieces(chosen.start, chosen.stop, prepared.tiling.layers))
     count = max(1, min(ESTIMATE_BLOCKS, int(ESTIMATE_SHARE * len(blocks))))
     sampled = [blocks[len(blocks) * (2 * i + 1) // (2 * count)] for i in range(count)]
-    sampled.sort(key=lambda block: abs(sum(block) - chosen.start - chosen.stop))
-    size, made = 0, 0
+    single = sorted({chosen[len(chosen) * (2 * i + 1) // (2 * ESTIMATE_LAYERS)] for i in range(ESTIMATE_LAYERS)})
     with Device(run.device, run.jobs) as device, workers(run.threads) as pool:
         pattern = prepared.pattern(device)
 
-        def make(first: int, end: int) -> tuple[int, int]:
-            """Layers made, and bytes of their files."""
-            made = size = 0
+        def make(first: int, end: int) -> tuple[int, int, int]:
+            """Layers made, bytes of their files, and solid pixels."""
+            made = size = solid = 0
             with closing(make_layers(prepared, pattern, pool, range(first, end), run.threads)) as batches:
                 for batch in batches:
                     files = pool.map(
@@ -418,19 +418,22 @@ def estimate(job: Job, run: Run) -> Estimate:
                     )
                     size += sum(len(content) for layer in files for _, _, content in layer)
                     made += len(batch)
-            return made, size
+                    solid += sum(sum(m.bitmaps.pixels().values()) for m in batch)
+            return made, size, solid
 
-        make(sampled[0][0], sampled[0][0] + 1)  # compiles
+        _, size, everywhere = np.sum([make(layer, layer + 1) for layer in single], axis=0)  # this compiles, too
         started = time.monotonic()
+        made = solid = 0
         for block in sampled:
             more = make(*block)
-            made, size = made + more[0], size + more[1]
+            made, solid = made + more[0], solid + more[2]
             seconds = time.monotonic() - started
             if seconds > ESTIMATE_SECONDS:
                 break
         label = device.label
-    share = len(chosen) / made
+    layers, of_single = len(chosen) / made, len(chosen) / len(single)
+    pixels = float(everywhere * of_single / solid) if solid else layers
     return Estimate(
-        grid.width_px, grid.height_px, len(chosen), len(chosen) * len(job.materials),
-        round(size * share), seconds * share, label, tuple(prepared.notes()),
+        grid.width_px, grid.height_px, len(chosen), len(chosen) * len(job.materials), round(float(size * of_single)),
+        seconds * (layers + pixels) / 2, label, tuple(prepared.notes()),
     )  # fmt: skip

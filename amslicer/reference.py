@@ -298,6 +298,55 @@ def jittered(g: NDArray[Any], columns: ArrayLike, rows: ArrayLike, layer: int, w
     return np.asarray(g * np.exp(1j * (u @ np.asarray(wave))))
 
 
+def aligned(
+    places: Floats, waves: Floats, widths: Floats, phases: Floats, normals: Floats, *, sweeps: int, dimensions: int,
+    coarse: int = 2, least: float = 0.1,
+) -> Floats:  # fmt: skip
+    """Twin of noise/alignment.py, with all N × N overlaps at once: phases after so many sweeps at each level.
+
+    The overlap of kernels i and j is (2 b_i b_j/S)^(d/2) exp(-π b_i² b_j² |x_i - x_j|²/S - |k_i - σ k_j|²/(4πS)) times
+    exp(i (b_i² σ k_j + b_j² k_i)·(x_i - x_j)/S), S = b_i² + b_j², σ the sign of n_i·n_j; where σ = -1 it takes z_j*.
+
+    Args:
+        places, waves, normals: (N, 3) x_j in mm, k_j in rad/mm, painted n_j.
+        widths, phases: (N,) b_j in 1/mm, φ_j in rad.
+        coarse: levels before the finest. Level l has the kernels whose phase word's low 16 bits, as a share, are below
+            2^(-l d), with b_j/2^l.
+        least: smaller overlaps are none.
+    """
+    words = np.rint(phases / (2 * np.pi) * 2.0**WORD_BITS)
+    share = (words % 65536) / 65536
+    z = np.zeros(len(phases), np.complex128)
+    for level in range(coarse, -1, -1):
+        here = share < 2.0 ** (-level * dimensions)
+        x, k, n, b = places[here], waves[here], normals[here], widths[here] / 2**level
+        d = x[:, None] - x[None, :]
+        sign = np.where(n @ n.T < 0, -1.0, 1.0)
+        s = b[:, None] ** 2 + b**2
+        k_i, k_j = k[:, None], sign[:, :, None] * k[None, :]
+        product = (b[:, None] * b) ** 2
+        size = (4 * product / s**2) ** (dimensions / 4) * np.exp(
+            -np.pi * product * _dot(d, d) / s - _dot(k_i - k_j, k_i - k_j) / (4 * np.pi * s)
+        )
+        angle = _dot(b[:, None, None] ** 2 * k_j + b[None, :, None] ** 2 * k_i, d) / s
+        overlap = np.where(size > least, size * np.exp(1j * angle), 0)
+        np.fill_diagonal(overlap, 0)
+
+        def neighbours(own: Complexes, overlap: Complexes = overlap, sign: Floats = sign) -> Complexes:
+            return np.asarray((overlap * np.where(sign > 0, own, own.conj())).sum(axis=1))
+
+        own = z[here]
+        new = own == 0
+        handed = neighbours(own)
+        own = np.where(new, np.where(handed == 0, np.exp(1j * phases[here]), handed), own)
+        own /= np.abs(own)
+        for _ in range(sweeps):
+            own = own + neighbours(own)
+            own /= np.abs(own)
+        z[here] = own
+    return np.asarray(np.angle(z) % (2 * np.pi))
+
+
 def tables(
     offset_mm: Floats, wave: Floats, decay: Floats, radius_mm: Floats, *, pitch_mm: float, pixels: int
 ) -> Complexes:

@@ -153,7 +153,9 @@ class Pattern(Model):
     impulses: Annotated[Number, Field(ge=MIN_IMPULSES, le=100)] | None = Field(
         default=None, description="kernels per bandwidth^dimensions; default per noise"
     )
-    alignment: Annotated[Whole, Field(ge=0, le=10_000)] = Field(default=0, description="phase-alignment sweeps")
+    alignment: Annotated[Whole, Field(ge=0, le=10_000)] = Field(
+        default=0, description="phase-alignment sweeps: 20 leave hardly a sheet that ends inside the part"
+    )
     evaluate: Literal["lattice", "exact"] = Field(default="lattice", description="how G is computed")
     profile: Literal[PROFILE_NAMES] = Field(  # type: ignore[valid-type]
         default="pwm",

@@ -46,6 +46,7 @@ DIRECTIONS_MIX, BENDING = 4.0, 0.25
 DIRECTIONS = {2: 24, 3: 64}  # normals in the average over directions
 # The largest |error| among 10^6 windows of 1 to 10 periods is 4σ + 0.38 periods² (periods³ in space) over their area.
 LIMIT_SIGMAS, DEFECT = 4.0, 0.5
+ALIGNED_SHARE = 0.05  # of the bandwidth: what is left of the noise's own wander where phases are aligned
 FLAT = 1e-3  # width × side of a perfect grating
 # Filled fractions at which the law is evaluated; between them it is interpolated in logarithms.
 FULL, FILLED = (1.0,), tuple(np.geomspace(1e-3, 1.0, 13).tolist())

@@ -226,7 +226,7 @@ def verify_stack(
             if progress:
                 progress(done, len(stack.records))
     shown.extend(texture.finish())
-    levels = list(windows.levels(pattern.bandwidth, pattern.profile))
+    levels = list(windows.levels(pattern.bandwidth, pattern.profile, aligned=pattern.alignment > 0))
     materials = _material_reports(stack, job, painted, totals, asked)
     for m in materials.values():
         if not m.ok:

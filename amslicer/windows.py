@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from amslicer.locking import locked_deviation
-from amslicer.spread import share_deviation, share_limit
+from amslicer.spread import ALIGNED_SHARE, share_deviation, share_limit
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -102,12 +102,18 @@ class RatioWindows:
         self._asked[:, z] += asked
         self._layers[z] += bool(np.any(got))
 
-    def levels(self, bandwidth: float, profile: str) -> Iterator[Level]:
-        """The windows of each size, from the leaves to the whole part."""
+    def levels(self, bandwidth: float, profile: str, *, aligned: bool = False) -> Iterator[Level]:
+        """The windows of each size, from the leaves to the whole part.
+
+        Args:
+            aligned: phases are: oblique laminates then scatter less, sheets that run along a window's side more, as
+                those of a grating do. The larger is expected.
+        """
         got, asked = self._got, self._asked
+        bandwidths = (bandwidth, ALIGNED_SHARE * bandwidth) if aligned else (bandwidth,)
         edges = [e.astype(float) for e in self._edges]
         while True:
-            level = self._level(got, asked, edges, bandwidth, profile)
+            level = self._level(got, asked, edges, bandwidths, profile)
             if level is not None:
                 yield level
             if all(len(e) == 2 for e in edges):
@@ -123,7 +129,9 @@ class RatioWindows:
         rows = np.add.reduceat(values, self._edges[0][:-1], axis=1, dtype=np.float64)
         return np.asarray(np.add.reduceat(rows, self._edges[1][:-1], axis=0))
 
-    def _level(self, got: Floats, asked: Floats, edges: list[Floats], bandwidth: float, profile: str) -> Level | None:
+    def _level(
+        self, got: Floats, asked: Floats, edges: list[Floats], bandwidths: tuple[float, ...], profile: str
+    ) -> Level | None:
         pitch = np.array([*self._grid.pitch_mm, self._grid.layer_mm])
         pixels = np.einsum("i,j,k->kji", *(np.diff(e) for e in edges))
         if self.planar:
@@ -142,7 +150,8 @@ class RatioWindows:
             low[:, 2], high[:, 2] = 0.0, self._grid.layers * self._grid.layer_mm
         of_window = solid[z, y, x][:, None]
         got_share, asked_share = (np.moveaxis(c[:, z, y, x], 0, -1) / of_window for c in (got, asked))
-        sigma, limit = self._spread(low, high, asked_share, filled[z, y, x], bandwidth, profile)
+        laws = [self._spread(low, high, asked_share, filled[z, y, x], b, profile) for b in bandwidths]
+        sigma, limit = (np.max(values, axis=0) for values in zip(*laws, strict=True))
         counts = tuple(len(e) - 1 for e in edges)
         return Level(low, high, got_share, asked_share, sigma, limit, place, (counts[0], counts[1], counts[2]))
 

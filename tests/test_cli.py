@@ -10,6 +10,7 @@ import sys
 import time
 from pathlib import Path
 
+import meshes
 import numpy as np
 import parts
 import pytest
@@ -122,6 +123,19 @@ def test_dry_run_writes_nothing(folder: Path, capsys: pytest.CaptureFixture[str]
     found = json.loads(run(capsys, *SLICE, "--dry-run", "--json")[1])
     assert (found["layers"], found["files"]) == (4, 8)
     assert set(folder.rglob("*")) == before
+
+
+def test_dry_run_tells_the_size_of_a_part_that_is_thin_in_the_middle(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    plates = [meshes.box((20.0, 20.0, 2.0), (0.0, 0.0, z)) for z in (0.0, 10.0)]
+    post = meshes.box((2.0, 2.0, 9.0), (9.0, 9.0, 1.5))
+    (folder / "hourglass.stl").write_bytes(meshes.binary_stl(meshes.joined(*plates, post)))
+    words = ("hourglass.stl", *SLICE[1:], "--printer", "generic-300dpi", "--set", "printer.layer_um=60")
+    found = json.loads(run(capsys, *words, "--dry-run", "--json")[1])
+    assert run(capsys, *words, "-o", "stack")[0] == 0
+    real = sum(file.stat().st_size for file in (folder / "stack").rglob("*.png"))
+    assert 0.6 * real < found["bytes"] < 1.6 * real
 
 
 def test_init_writes_a_file_that_slices(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

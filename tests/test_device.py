@@ -144,7 +144,10 @@ def test_a_driver_that_ends_the_process_is_an_error(monkeypatch: pytest.MonkeyPa
         list_devices()
 
 
-def test_what_went_wrong_ahead_is_said_once_and_then_tried_again(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_went_wrong_ahead_is_said_once_and_then_tried_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     answers = [(-6, "", "aborted"), (0, "[]", "")]
     monkeypatch.setattr(device, "_run_probe", lambda arguments: answers.pop(0))
     device._asked.cache_clear()

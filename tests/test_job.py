@@ -334,7 +334,6 @@ def test_refused_with_its_key(key: str, value: Any, said: str) -> None:
     [
         ("pattern.noise", "gabor"),
         ("pattern.noise", "asymptotic-spot"),
-        ("pattern.alignment", 3),
         ("fields.ratio", {"volume": "ratio.npy"}),
         ("fields.ratio", {"vertex": "name"}),
         ("fields.ratio", {"distance": {"from": 0.2, "to": 0.8, "depth": 2.0}}),
