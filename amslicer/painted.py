@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,6 +17,7 @@ from amslicer.specification import REST, AzimuthElevation, VectorComponents
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from amslicer.envelope import EnvelopePeriods
     from amslicer.grid import Grid
     from amslicer.job import Job
     from amslicer.placement import Placement
@@ -76,6 +78,18 @@ class Painted:
     def periods(self, points_mm: Floats) -> Floats:
         """(N,) painted period, mm, at (N, 3) points."""
         return np.broadcast_to(self.period.scalar(*self._coordinates(points_mm)), (len(points_mm),))
+
+    def envelope_periods(self, points_mm: Floats, periods_mm: Floats) -> Floats:
+        """(N,) the period that kernels' widths follow at (N, 3) points of these periods: less where it steps."""
+        if not any(self.period.varies):
+            return periods_mm
+        return self._envelope.at(points_mm, periods_mm)
+
+    @cached_property
+    def _envelope(self) -> EnvelopePeriods:
+        from amslicer.envelope import EnvelopePeriods
+
+        return EnvelopePeriods(self)
 
     @property
     def period_bounds_mm(self) -> tuple[float, float]:

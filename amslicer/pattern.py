@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from amslicer.lattice import Lattice, Taps
     from amslicer.mask import Runs
     from amslicer.noise import Noise
+    from amslicer.noise.kernels import CellLayer
     from amslicer.painted import Painted
 
     Floats = NDArray[np.float64]
@@ -76,7 +77,7 @@ class Pattern:
         self._taps: list[Any] | None = None
         self._ratio: dict[int, NDArray[np.float32]] = {}
         self._sums: list[Floats] = []
-        self._cell_layers: dict[int, Kernels] = {}
+        self._cell_layers: dict[CellLayer, Kernels] = {}
         # What is ever looked at, margin included, in whole tiles: kernels are kept for all of it.
         corners = [self._all_tiles(some) for some in (self._pixel_tiling, tiling)]
         sides = [some.sides_mm for some in (self._pixel_tiling, tiling)]

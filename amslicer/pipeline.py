@@ -48,7 +48,7 @@ MAX_LAYER_PIXELS = 170_000_000
 MAX_LAYERS = 1_000_000
 MAX_SIDE_MM = 1e7  # 10 km
 MAX_KERNELS, MAX_TABLE_BYTES = 20_000_000, 8 << 30  # of one batch of layers: beyond, memory runs out
-MAX_PERIOD_RATIO = 4  # longest to shortest painted period: kernels are drawn at the density of the shortest
+MAX_PERIOD_RATIO = 100  # longest to shortest painted period: the lattice is as fine as the shortest asks for
 PERIOD_ROUNDING = 1e-9
 ESTIMATE_BLOCKS, ESTIMATE_SHARE, ESTIMATE_SECONDS = 4, 0.25, 5.0  # blocks of layers, at most, but one at least
 ESTIMATE_LAYERS = 8  # for the size
@@ -193,9 +193,10 @@ def _refuse_many_kernels(job: Job, noise: Noise, grid: Grid, painted: Painted) -
     tiling = choose_tiling(grid, shortest)
     height = 2 * reach + tiling.nodes[2].side_mm if noise.dimensions == 3 else 1.0
     period = painted.periods(sample_places(painted, longest).reshape(-1, 3))
-    kernels = noise.density * width * depth * height * float(np.mean((shortest / period) ** noise.dimensions))
-    slots = 2 * reach / float(tiling.sides_mm.min()) + 2
-    table_bytes = kernels * slots * tiling.nodes[0].count * 8
+    density = noise.density * (shortest / period) ** noise.dimensions
+    kernels = width * depth * height * float(np.mean(density))
+    slots = 2 * reach * (period / longest) / float(tiling.sides_mm.min()) + 2
+    table_bytes = width * depth * height * float(np.mean(density * slots)) * tiling.nodes[0].count * 8
     if kernels > MAX_KERNELS or table_bytes > MAX_TABLE_BYTES:
         raise JobError(
             f"the job is too large: with pattern.period {shortest:g} mm and bandwidth {job.spec.pattern.bandwidth} a "

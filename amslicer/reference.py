@@ -35,8 +35,9 @@ MULTIPLIERS = (0xD2511F53, 0xCD9E8D57)
 KEY_STEPS = (0x9E3779B9, 0xBB67AE85)  # golden ratio, √3 - 1
 WORD_BITS = 32
 WORD_MASK = 0xFFFFFFFF
-# Fourth words of the counters, beside 0 … for impulses: choices among candidates; places and weights of the points that
-# turn directions, + 256 × level; dithered edges.
+# Fourth words of the counters, beside 0 + LEVEL × level for impulses: choices among candidates, + LEVEL × level; places
+# and weights of the points that turn directions, + 256 × level; dithered edges.
+LEVEL = 0x10000
 CHOICES, TURN_PLACES, TURN_WEIGHTS, EDGES = 0x40000000, 0x80000000, 0xC0000000, 0x60000000
 
 
@@ -87,7 +88,7 @@ def cells_of(width: float, dimensions: int, impulses: float) -> tuple[int, float
 
 
 def impulses_of(
-    cells: ArrayLike, *, side_mm: float, per_cell: int, dimensions: int, seed: int
+    cells: ArrayLike, *, side_mm: float, per_cell: int, dimensions: int, seed: int, level: int = 0
 ) -> tuple[Floats, Floats]:
     """Places and phases of the impulses of cells: three words are the place in the cell, one is the phase.
 
@@ -97,7 +98,7 @@ def impulses_of(
     Returns:
         (..., per_cell, 3) mm, with z = 0 in 2D; (..., per_cell) in [0, 2π).
     """
-    share = cell_words(cells, per_cell, seed) / 2.0**WORD_BITS
+    share = cell_words(cells, per_cell, seed, LEVEL * level) / 2.0**WORD_BITS
     places = (np.asarray(cells)[..., None, :] + share[..., :3]) * side_mm
     if dimensions == 2:
         places[..., 2] = 0.0
@@ -118,7 +119,7 @@ def cut_radius(width: float, dimensions: int, error: float) -> float:
 def phasor(
     x: ArrayLike, y: ArrayLike, z: ArrayLike, *, period: Scalar, bandwidth: float, dimensions: int, seed: int,
     normal: Normal, isotropy: Scalar = 0.0, impulses: float = 4.0, periods: tuple[float, float] | None = None,
-    reference_normal: ArrayLike | None = None, error: float = 1e-3,
+    envelope: Scalar | None = None, reference_normal: ArrayLike | None = None, error: float = 1e-3,
 ) -> Complexes:  # fmt: skip
     """G at any points, kernel by kernel, with box support |x - x_j| < r along each axis.
 
@@ -131,8 +132,9 @@ def phasor(
         normal: unit normals at the kernels' centres: one, or a function of (N, 3) places.
         isotropy: s at the kernels' centres, 0…1.
         impulses: kernels per b^dimensions.
-        periods: the shortest and the longest p, where it varies: candidates lie as densely as the shortest asks for,
-            and are kernels with probability (shortest/p)^dimensions.
+        periods: the shortest and the longest p, where it varies. Level l has candidates as dense as P = 2^l shortest
+            asks for; where P <= p < 2P they are kernels with probability (P/p)^dimensions.
+        envelope: the period that the envelope, density and level follow; default: the period itself.
         reference_normal: (..., 3) normals at the points, which broadcast. A kernel whose own normal points
             against it is conjugated: the laminate's normal is a line, and n, φ and -n, -φ are the same real wave.
         error: relative RMS error of cutting the kernels.
@@ -147,33 +149,38 @@ def phasor(
     point = point.reshape(-1, 3) * ((1, 1, 1) if dimensions == 3 else (1, 1, 0))
 
     shortest, longest = periods or (float(period),) * 2  # type: ignore[arg-type]
-    farthest = cut_radius(bandwidth / longest, dimensions, error)
-    per_cell, side = cells_of(bandwidth / shortest, dimensions, impulses)
-    cells, cell_of_point = np.unique(np.floor(point / side).astype(np.int64), axis=0, return_inverse=True)
-    steps = range(-math.ceil(farthest / side), math.ceil(farthest / side) + 1)
-    offsets = np.array(list(product(steps, steps, steps if dimensions == 3 else (0,))))
-    drawn, cell_near = np.unique((cells[:, None] + offsets).reshape(-1, 3), axis=0, return_inverse=True)
-    cell_near = cell_near.reshape(len(cells), len(offsets))  # the drawn cell at each offset from a point's own
-    places, phases = impulses_of(drawn, side_mm=side, per_cell=per_cell, dimensions=dimensions, seed=seed)
-    places, phases = places.reshape(-1, 3), phases.reshape(-1)
-    p = _at(period, places)
-    width = bandwidth / p
-    radius = cut_radius(1.0, dimensions, error) / width
-    choice = cell_words(drawn, per_cell, seed, CHOICES)[..., 0].reshape(-1) / 2.0**WORD_BITS
-    is_kernel = (choice < (shortest / p) ** dimensions) | (shortest == longest)
-    normals = np.broadcast_to(normal(places) if callable(normal) else np.asarray(normal, np.float64), places.shape)
-    waves = turned(normals, _at(isotropy, places), places, width, dimensions, seed) * (2 * np.pi / p)[:, None]
     total = np.zeros(len(point), np.complex128)
-    for cell_of_offset in cell_near.T:
-        for m in range(per_cell):
-            j = cell_of_offset[cell_of_point] * per_cell + m
-            d = point - places[j]
-            near = np.flatnonzero(np.all(np.abs(d) < radius[j, None], axis=1) & is_kernel[j])
-            j, d = j[near], d[near]
-            wave = np.exp(-np.pi * width[j] ** 2 * _dot(d, d) + 1j * (_dot(waves[j], d) + phases[j]))
-            if reference is not None:
-                wave = np.where(_dot(normals[j], reference[near]) < 0, wave.conj(), wave)
-            total[near] += wave
+    for level in range(math.floor(math.log2(longest / shortest)) + 1):
+        least = shortest * 2**level
+        farthest = cut_radius(bandwidth / min(longest, 2 * least), dimensions, error)
+        per_cell, side = cells_of(bandwidth / least, dimensions, impulses)
+        cells, cell_of_point = np.unique(np.floor(point / side).astype(np.int64), axis=0, return_inverse=True)
+        steps = range(-math.ceil(farthest / side), math.ceil(farthest / side) + 1)
+        offsets = np.array(list(product(steps, steps, steps if dimensions == 3 else (0,))))
+        drawn, cell_near = np.unique((cells[:, None] + offsets).reshape(-1, 3), axis=0, return_inverse=True)
+        cell_near = cell_near.reshape(len(cells), len(offsets))  # the drawn cell at each offset from a point's own
+        places, phases = impulses_of(
+            drawn, side_mm=side, per_cell=per_cell, dimensions=dimensions, seed=seed, level=level
+        )
+        places, phases = places.reshape(-1, 3), phases.reshape(-1)
+        p = _at(period, places)
+        q = p if envelope is None else _at(envelope, places)
+        width = bandwidth / q
+        radius = cut_radius(1.0, dimensions, error) / width
+        choice = cell_words(drawn, per_cell, seed, CHOICES + LEVEL * level)[..., 0].reshape(-1) / 2.0**WORD_BITS
+        is_kernel = (least <= q) & (q < 2 * least) & (choice < (least / q) ** dimensions) | (shortest == longest)
+        normals = np.broadcast_to(normal(places) if callable(normal) else np.asarray(normal, np.float64), places.shape)
+        waves = turned(normals, _at(isotropy, places), places, width, dimensions, seed) * (2 * np.pi / p)[:, None]
+        for cell_of_offset in cell_near.T:
+            for m in range(per_cell):
+                j = cell_of_offset[cell_of_point] * per_cell + m
+                d = point - places[j]
+                near = np.flatnonzero(np.all(np.abs(d) < radius[j, None], axis=1) & is_kernel[j])
+                j, d = j[near], d[near]
+                wave = np.exp(-np.pi * width[j] ** 2 * _dot(d, d) + 1j * (_dot(waves[j], d) + phases[j]))
+                if reference is not None:
+                    wave = np.where(_dot(normals[j], reference[near]) < 0, wave.conj(), wave)
+                total[near] += wave
     return total.reshape(shape)
 
 

@@ -35,7 +35,7 @@ pattern:
   bandwidth: {pattern.bandwidth}                   # smaller: straighter, more regular sheets; larger: quicker to turn
   # impulses: {impulses:g}                    # kernels per bandwidth^dimensions
   # profile: {pattern.profile}                   # of several materials: symmetric A B C B A, or cyclic A B C A B C
-  # alignment: {pattern.alignment}                   # sweeps: 20 brings kernels in step, for sheets that run through unbroken
+  # alignment: {pattern.alignment}                   # 20 brings the kernels in step: sheets that run through unbroken
   # edges: {pattern.edges}                   # or dithered, for very regular sheets along the pixel rows
   # evaluate: {pattern.evaluate}              # or exact: at every pixel, several times slower
   seed: {pattern.seed}                          # another seed, another laminate of the same kind

@@ -171,6 +171,8 @@ class RatioWindows:
             "profile": profile, "bandwidth": bandwidth, "dimensions": axes,
             "window_periods": (sides_mm / period)[:, None], "filled": filled[:, None], "isotropy": isotropy[:, None],
         }  # fmt: skip
+        # What a wider period does just beside a window reaches into it: the widest in or at it makes the limit.
+        widest = {**law, "window_periods": (sides_mm / self._widest(low_mm, high_mm)[:, None])[:, None]}
         sigmas, limits = [], []
         for share in self._places():
             # Sheets along a window's side are cut in phase only where they run along all of it.
@@ -180,9 +182,17 @@ class RatioWindows:
                 extents_px=(sides_mm / pitch)[:, None], width_per_pixel=bandwidth * pitch / period.mean(),
             )  # fmt: skip
             sigmas.append(np.hypot(share_deviation(below, until, **law, normal=normal[:, None]), pixel))
-            limits.append(share_limit(below, until, **law, normal=normal[:, None], pixels=pixel))
+            limits.append(share_limit(below, until, **widest, normal=normal[:, None], pixels=pixel))
         sigma, limit = (np.sqrt(np.mean(np.square(values), axis=0)) for values in (sigmas, limits))
         return sigma, limit
+
+    def _widest(self, low_mm: Floats, high_mm: Floats) -> Floats:
+        """(W,) the longest period at the middles, sides and corners of windows."""
+        if not any(self._painted.period.varies):
+            return self._painted.periods(low_mm)
+        shares = np.stack(np.meshgrid(*[[0.0, 0.5, 1.0]] * 3), axis=-1).reshape(-1, 3)
+        found = [self._painted.periods(low_mm + share * (high_mm - low_mm)) for share in shares]
+        return np.asarray(np.max(found, axis=0))
 
     def _places(self) -> Floats:
         """(N, 3) places of a window, as shares of its sides, where the painted direction is read."""

@@ -217,7 +217,7 @@ def test_the_period_stays_in_printed_mm_under_scale(tmp_path: Path) -> None:
         ({"isotropy": {"gradient": {"axis": "x", "from": 0.5, "to": 1.2}}}, {}, "fields.isotropy is 1."),
         ({}, {"period": 0}, "pattern.period: must be greater than 0 mm"),
         ({}, {"period": {"gradient": {"axis": "x", "from": 0, "to": 2}}}, "falls to 0 mm"),
-        ({}, {"period": {"gradient": {"axis": "x", "from": 0.5, "to": 2.5}}}, "from 0.5 to 2.5 mm, a factor of 5"),
+        ({}, {"period": {"gradient": {"axis": "x", "from": 0.05, "to": 6}}}, "from 0.05 to 6 mm, a factor of 120"),
     ],
 )
 def test_isotropies_and_periods_that_are_refused(

@@ -176,6 +176,9 @@ class Graded:
     def isotropies(self, points_mm: Floats) -> Floats:
         return np.zeros(len(points_mm))
 
+    def envelope_periods(self, points_mm: Floats, periods_mm: Floats) -> Floats:
+        return periods_mm
+
     def periods(self, points_mm: Floats) -> Floats:
         return period_at(np.clip(points_mm[:, 0], 0, LENGTH))
 

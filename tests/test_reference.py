@@ -229,6 +229,13 @@ def pixel_centres(case: Case, prepared: Prepared) -> tuple[Floats, Floats, float
     return x[None, :], y[:, None], (case.layer + 0.5) * case.layer_mm
 
 
+def held_back(prepared: Prepared, places: Floats) -> Floats:
+    """The envelope's period; tests/test_levels.py is about it."""
+    shortest, longest = prepared.painted.period_bounds_mm
+    periods = np.clip(prepared.painted.periods(places), shortest, longest)
+    return np.clip(prepared.painted.envelope_periods(places, periods), shortest, periods)
+
+
 def twin(case: Case, prepared: Prepared, *, signs: bool = True, **changed: Any) -> NDArray[np.complex128]:
     """The reference's G over a layer, with the sign of each tile."""
 
@@ -243,6 +250,7 @@ def twin(case: Case, prepared: Prepared, *, signs: bool = True, **changed: Any) 
         "period": along(0, case.period, case.period_end), "bandwidth": case.bandwidth, "dimensions": case.dimensions,
         "seed": case.seed, "normal": normal, "reference_normal": reference_normal, "impulses": case.impulses or 4.0,
         "isotropy": along(1, *case.isotropy), "periods": case.periods,
+        "envelope": (lambda places: held_back(prepared, places)) if case.periods[0] < case.periods[1] else None,
     }  # fmt: skip
     return phasor(*pixel_centres(case, prepared), **{**settings, **changed})
 

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from amslicer.noise.kernels import Generator, Noise, Paint
+    from amslicer.noise.kernels import CellLayer, Generator, Noise, Paint
 
     Floats = NDArray[np.float64]
     Ints = NDArray[np.int64]
@@ -56,7 +56,7 @@ class Aligned:
     noise: Noise
     sweeps: int
     size_mm: Floats
-    _found: dict[int, Floats] = field(default_factory=dict)  # phases by layer of cells
+    _found: dict[CellLayer, Floats] = field(default_factory=dict)  # phases by layer of cells
 
     @property
     def dimensions(self) -> int:
@@ -73,11 +73,11 @@ class Aligned:
         """The most kernels per mm^dimensions, where the period is shortest."""
         return self.noise.density
 
-    def cell_layers(self, low_z_mm: float, high_z_mm: float) -> range:
+    def cell_layers(self, low_z_mm: float, high_z_mm: float) -> list[CellLayer]:
         """The layers of cells whose kernels can reach these heights."""
         return self.noise.cell_layers(low_z_mm, high_z_mm)
 
-    def kernels(self, draw: Generator, cell_layer: int, low_mm: Floats, high_mm: Floats, paint: Paint) -> Kernels:
+    def kernels(self, draw: Generator, cell_layer: CellLayer, low_mm: Floats, high_mm: Floats, paint: Paint) -> Kernels:
         """The kernels of one layer of cells that reach a rectangle, in cell order, aligned.
 
         Raises:

@@ -16,9 +16,14 @@ if TYPE_CHECKING:
 
 WORD = 2.0**-32  # random words to [0, 1)
 # The fourth word of a counter says what its random words are for: no two uses can share a stream.
-IMPULSES = 0  # + number in the cell: place and phase of an impulse
-CHOICE = 1 << 30  # + number in the cell: whether a candidate is an impulse
+# + 65536 × level + number in the cell: place and phase of an impulse; whether a candidate is one.
+IMPULSES, CHOICE = 0, 1 << 30
+LEVEL = 1 << 16
 TURN_PLACES, TURN_WEIGHTS = 2 << 30, 3 << 30  # + 256 × level (8 bits) + number in the cell: amslicer/noise/turn.py
+
+
+CellLayer = tuple[int, int]
+"""A layer of cells: its level, and its number from the part's lowest corner."""
 
 
 class Generator(Protocol):
@@ -65,6 +70,9 @@ class Paint(Protocol):
 
     def periods(self, points_mm: Floats) -> Floats:
         """(N,) mm."""
+
+    def envelope_periods(self, points_mm: Floats, periods_mm: Floats) -> Floats:
+        """(N,) mm, at most the periods: what a kernel's width follows."""
 
     @property
     def period_bounds_mm(self) -> tuple[float, float]:
@@ -118,15 +126,15 @@ class Noise(Protocol):
     def density(self) -> float:
         """The most kernels per mm^dimensions, where the period is shortest."""
 
-    def cell_layers(self, low_z_mm: float, high_z_mm: float) -> range:
-        """The layers of cells whose kernels can reach these heights; range(1) in 2D."""
+    def cell_layers(self, low_z_mm: float, high_z_mm: float) -> list[CellLayer]:
+        """The layers of cells whose kernels can reach these heights: (level, layer of cells); one per level in 2D."""
 
-    def kernels(self, draw: Generator, cell_layer: int, low_mm: Floats, high_mm: Floats, paint: Paint) -> Kernels:
+    def kernels(self, draw: Generator, cell_layer: CellLayer, low_mm: Floats, high_mm: Floats, paint: Paint) -> Kernels:
         """The kernels of one layer of cells that reach a rectangle, in cell order.
 
         Args:
             draw: draws random numbers.
-            cell_layer: index of the layer of cells.
+            cell_layer: one of those of `cell_layers`.
             low_mm, high_mm: (2,) corners of the rectangle, pattern frame.
             paint: the painted fields.
         """
@@ -145,11 +153,13 @@ class Cells:
         side_mm: side of a cell.
         per_cell: impulses per cell.
         dimensions: 2 or 3; in 2D there is one layer of cells and z is 0.
+        level: 0 … 255; another level, other random numbers.
     """
 
     side_mm: float
     per_cell: int
     dimensions: int
+    level: int = 0
 
     def cell_layers(self, low_z_mm: float, high_z_mm: float) -> range:
         """The layers of cells that overlap these heights."""
@@ -172,14 +182,14 @@ class Cells:
         first = np.floor(low_mm / self.side_mm).astype(int)
         count = np.floor(high_mm / self.side_mm).astype(int) + 1 - first
         box = (int(first[0]), int(first[1]), cell_layer), (int(count[0]), int(count[1]), 1), self.per_cell, seed
-        words = draw.words(*box, IMPULSES)
+        words = draw.words(*box, IMPULSES + LEVEL * self.level)
         z, y, x = np.meshgrid([cell_layer], *(first[a] + np.arange(count[a]) for a in (1, 0)), indexing="ij")
         cell = np.stack([x, y, z], axis=-1)[:, :, :, None, :]
         place = ((cell + words[..., :3] * WORD) * self.side_mm).reshape(-1, 3)
         phase = words[..., 3].astype(np.float64).reshape(-1) * (WORD * 2 * np.pi)
         choice = np.zeros(len(phase))
         if thinned:
-            choice += draw.words(*box, CHOICE)[..., 0].reshape(-1) * WORD
+            choice += draw.words(*box, CHOICE + LEVEL * self.level)[..., 0].reshape(-1) * WORD
         if self.dimensions == 2:
             place[:, 2] = 0.0
         inside = np.all((place[:, :2] > low_mm) & (place[:, :2] < high_mm), axis=1)

@@ -4,8 +4,12 @@ a_j(x) = exp(-π b² |x - x_j|²), (6); k_j = (2π/p) n_j with the painted norma
 paper's, the phases φ_j are random: then arg G is exactly uniform at every point, and the expected ratio of
 any profile is the painted one.
 
-The painted period p_j = p(x_j) may vary: candidates at the density of the shortest period are taken with probability
-(p_min/p_j)^d, so that there are always Λ kernels per (B/p)^-d. Isotropy turns n_j at random (amslicer/noise/turn.py).
+The painted period p_j = p(x_j) may vary: each level l has candidates as dense as p_l = 2^l p_min asks for; those with
+p_l <= p_j < 2 p_l are kernels with probability (p_l/p_j)^d. So there are always Λ kernels per (B/p)^-d, levels meet
+without a seam, and no kernel of a level reaches twice as far as its narrowest. Where the period steps, the envelope
+has a period of its own, q_j <= p_j, that grows no faster than distance allows (amslicer/envelope.py), so that wide
+kernels do not reach over fine sheets; density and level follow q_j, the carrier p_j. Isotropy turns n_j at random
+(amslicer/noise/turn.py).
 """
 
 from __future__ import annotations
@@ -21,7 +25,7 @@ from amslicer.noise.turn import turned
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from amslicer.noise.kernels import Generator, Paint
+    from amslicer.noise.kernels import CellLayer, Generator, Paint
 
     Floats = NDArray[np.float64]
 
@@ -61,34 +65,45 @@ class Phasor:
         return self.impulses * (self.bandwidth / self.periods_mm[0]) ** self.dimensions
 
     @property
-    def cells(self) -> Cells:
-        """Cells of about one (narrowest) envelope width, a whole number of candidates in each."""
+    def levels(self) -> int:
+        """How many octaves the painted periods span, 1 for a single one."""
+        return int(self._level(np.array([self.periods_mm[1]]))[0]) + 1
+
+    def cells(self, level: int) -> Cells:
+        """Cells of about one (narrowest) envelope width of the level, a whole number of candidates in each."""
         per_cell = max(1, round(self.impulses))
-        side = (per_cell / self.impulses) ** (1 / self.dimensions) / (self.bandwidth / self.periods_mm[0])
-        return Cells(side, per_cell, self.dimensions)
+        width = self.bandwidth / (self.periods_mm[0] * 2**level)
+        return Cells((per_cell / self.impulses) ** (1 / self.dimensions) / width, per_cell, self.dimensions, level)
 
-    def cell_layers(self, low_z_mm: float, high_z_mm: float) -> range:
-        """The layers of cells whose kernels can reach these heights."""
-        return self.cells.cell_layers(low_z_mm - self.radius_mm, high_z_mm + self.radius_mm)
+    def cell_layers(self, low_z_mm: float, high_z_mm: float) -> list[CellLayer]:
+        """The layers of cells whose kernels can reach these heights: (level, layer of cells)."""
+        found = []
+        for level in range(self.levels):
+            reach = self._reach(level)
+            found += [(level, n) for n in self.cells(level).cell_layers(low_z_mm - reach, high_z_mm + reach)]
+        return found
 
-    def kernels(self, draw: Generator, cell_layer: int, low_mm: Floats, high_mm: Floats, paint: Paint) -> Kernels:
+    def kernels(self, draw: Generator, cell_layer: CellLayer, low_mm: Floats, high_mm: Floats, paint: Paint) -> Kernels:
         """The kernels of one layer of cells that reach a rectangle, in cell order.
 
         Raises:
             JobError: a painted field is not usable at a kernel's centre.
         """
-        farthest = self.radius_mm
+        level, number = cell_layer
         shortest, longest = self.periods_mm
-        place, phase, choice = self.cells.impulses(
-            draw, self.seed, cell_layer, low_mm - farthest, high_mm + farthest, thinned=shortest < longest
+        farthest = self._reach(level)
+        place, phase, choice = self.cells(level).impulses(
+            draw, self.seed, number, low_mm - farthest, high_mm + farthest, thinned=shortest < longest
         )
         period = np.clip(paint.periods(place), shortest, longest)  # bounds may differ from values by rounding
-        radius = farthest * (period / longest)
-        taken = choice < (shortest / period) ** self.dimensions
+        envelope = np.clip(paint.envelope_periods(place, period), shortest, period)
+        radius = self.radius_mm * (envelope / longest)
+        taken = self._level(envelope) == level
+        taken &= choice < (shortest * 2**level / envelope) ** self.dimensions
         taken &= np.all((place[:, :2] + radius[:, None] > low_mm) & (place[:, :2] - radius[:, None] < high_mm), axis=1)
-        place, phase, period, radius = place[taken], phase[taken], period[taken], radius[taken]
+        place, phase, period, envelope, radius = (a[taken] for a in (place, phase, period, envelope, radius))
         normal = paint.normals(place)
-        width = self.bandwidth / period
+        width = self.bandwidth / envelope
         direction = normal
         if not paint.is_laminate:
             direction = turned(normal, paint.isotropies(place), place, width, self.dimensions, self.seed, draw)
@@ -100,6 +115,15 @@ class Phasor:
             radius_mm=radius,
             normal=normal,
         )
+
+    def _level(self, period_mm: Floats) -> NDArray[np.int64]:
+        """l with 2^l <= period/shortest < 2^(l + 1)."""
+        return np.asarray(np.frexp(period_mm / self.periods_mm[0])[1] - 1, dtype=np.int64)
+
+    def _reach(self, level: int) -> float:
+        """Where the widest kernels of a level are cut."""
+        shortest, longest = self.periods_mm
+        return float(self.radius_mm * (min(longest, shortest * 2 ** (level + 1)) / longest))
 
 
 def truncation_radius(width: float, dimensions: int, error: float) -> float:
