@@ -40,6 +40,7 @@ _PUBLIC = {
 }
 
 if TYPE_CHECKING:
+    from amslicer import noise as noise
     from amslicer.job import Job as Job
     from amslicer.job import load_job as load_job
     from amslicer.layer import Layer as Layer
@@ -69,6 +70,7 @@ __all__ = [
     "field",
     "layers",
     "load_job",
+    "noise",
     "open_stack",
     "slice_job",
     "verify",
@@ -76,6 +78,10 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
+    if name == "noise":
+        from importlib import import_module
+
+        return import_module("amslicer.noise")
     if name not in _PUBLIC:
         raise AttributeError(f"module 'amslicer' has no attribute '{name}'")
     from importlib import import_module

@@ -179,6 +179,7 @@ class Block:
         pattern = self._pattern
         return {
             **work_shape(self._device, nodes), "CYCLIC": pattern.profile.cyclic, "DITHERED": pattern.dithered,
+            "VALUE": pattern.noise.reads == "value",
         }  # fmt: skip
 
     def _materials(self) -> tuple[Any, Any]:

@@ -253,9 +253,19 @@ def _refuse_unbuilt(spec: JobFile, origin: Origin) -> None:
 
 def _refuse_contradictions(spec: JobFile, origin: Origin) -> None:
     """What no single key is to blame for."""
+    from amslicer.noise import NOISES
     from amslicer.specification import AzimuthElevation, VectorComponents
 
     pattern, fields = spec.pattern, spec.fields
+    if NOISES[pattern.noise].reads == "value":
+        for key, default in (("profile", ("pwm", "symmetric")), ("alignment", (0,))):
+            value = getattr(pattern, key)
+            if value not in default:
+                raise origin.error(
+                    ("pattern", key),
+                    f"pattern.{key}: {value} needs a phase, but {pattern.noise} noise is read by its values",
+                    f"use {key}: {default[0]}, or noise: phasor",
+                )
     if isinstance(pattern.period, float) and pattern.period <= 0:
         raise origin.error(
             ("pattern", "period"), f"pattern.period: must be greater than 0 mm, but it is {pattern.period}"

@@ -132,9 +132,12 @@ def locking_notes(prepared: Prepared) -> Iterator[str]:
     """
     from amslicer.arrows import sample_places
     from amslicer.locking import locking_error
+    from amslicer.noise import NOISES
 
     spec, grid, painted = prepared.job.spec, prepared.grid, prepared.painted
     shortest, longest = painted.period_bounds_mm
+    if NOISES[spec.pattern.noise].reads == "value":
+        return  # whose sheets wander too much
     if spec.pattern.edges == "dithered" or not painted.is_laminate or shortest < longest:
         return
     normals = painted.normals(sample_places(painted, LOCKING_STEP_PERIODS * shortest).reshape(-1, 3))

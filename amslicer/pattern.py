@@ -266,8 +266,15 @@ class Pattern:
         for layer in range(count):
             yield layer, 1, self._threshold_buffer(first + layer)
 
+    def _levels(self, cumulative: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Values of Re G at cumulative ratios; infinite where they are plain fills."""
+        c = cumulative.astype(np.float64)
+        c = np.where(c <= ROUNDING, 0.0, np.where(c >= 1 - ROUNDING, 1.0, c))
+        return self.noise.levels_of(c).astype(np.float32)
+
     def _threshold_buffer(self, layer: int) -> Any:
         ratio = self.ratio(layer)
         padded = np.zeros((len(ratio), *self.padded), np.float32)
-        padded[:, : self.grid.rows, : self.grid.columns] = self.profile.thresholds(ratio)
+        thresholds = self.profile.thresholds if self.noise.reads == "phase" else self._levels
+        padded[:, : self.grid.rows, : self.grid.columns] = thresholds(ratio)
         return self.device.buffer(padded)

@@ -191,7 +191,7 @@ def harmonic_variance(order: int, sides: ArrayLike, cycles: ArrayLike, width: Ar
     product = weight
     for axis in range(side.shape[-1]):
         decay = np.pi / 2 * b[axis] ** 2 * multiple
-        product = product * _along_side(side[..., axis, None], decay, 2 * np.pi * wave[..., axis, None])
+        product = product * along_side(side[..., axis, None], decay, 2 * np.pi * wave[..., axis, None])
     # Rounding leaves ±1e-12 where a grating's cut sheets cancel.
     return np.asarray(np.maximum(np.sum(product, axis=-1), 0.0))
 
@@ -214,7 +214,7 @@ def _mixture(order: int, bandwidth: float) -> tuple[Floats, Floats]:
     return h + 2 * n, count * np.exp(logarithm)
 
 
-def _along_side(side: Floats, decay: Floats, wave: Floats) -> Floats:
+def along_side(side: Floats, decay: Floats, wave: Floats) -> Floats:
     """F(L) = (2/L) ∫₀^L (1 - t/L) exp(-A t²) cos(κ t) dt by the Faddeeva function, without cancelling exponentials."""
     from scipy.special import wofz
 
@@ -237,7 +237,7 @@ def _by_window(sides: Floats, bandwidth: float, dimensions: int, filled: tuple[f
 
 @lru_cache(maxsize=CACHED_WINDOWS)
 def _average(sides: tuple[float, ...], bandwidth: float, dimensions: int, filled: tuple[float, ...]) -> Floats:
-    normals = _directions(dimensions)[:, None, : len(sides)]
+    normals = directions(dimensions)[:, None, : len(sides)]
     boxes = np.asarray(sides) * np.asarray(filled)[:, None] ** (1 / len(sides))
     table = [harmonic_variance(h, boxes, h * normals, bandwidth).mean(axis=0) for h in range(1, HARMONICS + 1)]
     return np.stack(table, axis=-1)
@@ -261,7 +261,7 @@ def _of_pairs(pairs: bytes, axes: int, bandwidth: float) -> Floats:
 
 
 @lru_cache(maxsize=2)
-def _directions(dimensions: int) -> Floats:
+def directions(dimensions: int) -> Floats:
     """(N, 3) normals spread evenly over an octant, which is all that a box can tell apart."""
     count = DIRECTIONS[dimensions]
     step = (np.arange(count) + 0.5) / count

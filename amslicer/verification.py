@@ -15,14 +15,16 @@ import numpy as np
 
 from amslicer.errors import AmslicerError, JobError, StorageError
 from amslicer.judgement import direction_problems, isotropy_problems, period_problems, ratio_problems
+from amslicer.levelspread import level_deviation
 from amslicer.manifest import LayerRecord, placement_of
+from amslicer.noise import NOISES
 from amslicer.painted import Painted, open_fields
 from amslicer.profile import PROFILES
 from amslicer.spread import DEFECT
 from amslicer.stack import VOLUME_SHARE, Stack, decode_bitmap
 from amslicer.storage import JOB_FILE, storage_errors
 from amslicer.texture import Shown, Texture
-from amslicer.windows import Level, RatioWindows
+from amslicer.windows import VALUE, Level, RatioWindows
 from amslicer.writers.png import layer_path
 
 if TYPE_CHECKING:
@@ -226,7 +228,8 @@ def verify_stack(
             if progress:
                 progress(done, len(stack.records))
     shown.extend(texture.finish())
-    levels = list(windows.levels(pattern.bandwidth, pattern.profile, aligned=pattern.alignment > 0))
+    law = pattern.profile if NOISES[pattern.noise].reads == "phase" else VALUE
+    levels = list(windows.levels(pattern.bandwidth, law, aligned=pattern.alignment > 0))
     materials = _material_reports(stack, job, painted, totals, asked)
     for m in materials.values():
         if not m.ok:
@@ -398,6 +401,16 @@ def ratio_tolerance(grid: Grid, job: Job, painted: Painted, ratio: float, solid:
         area = max(area, solid * pixel_periods * grid.layer_mm / depth)
     sigma = SPREAD * pattern.bandwidth * math.sin(math.pi * ratio) / math.sqrt(area)
     size = painted.placement.size_mm
+    if NOISES[pattern.noise].reads == "value":
+        solid_share = solid * grid.voxel_mm3 / float(np.prod(size))
+        sides = size[: pattern.dimensions] / period * min(1.0, solid_share) ** (1 / pattern.dimensions)
+        normals = painted.normals(np.array([[0.0, 0.0, 0.0], size / 2, size]))
+        sigma = max(
+            float(np.max(level_deviation(
+                0.0, ratio, bandwidth=pattern.bandwidth, dimensions=pattern.dimensions, window_periods=sides, normal=n
+            )))
+            for n in (None, *normals)
+        )  # fmt: skip
     corners = np.array([[0.0, 0.0, 0.0], size / 2, size])
     across = float(np.min(np.abs(painted.normals(corners)) @ size)) / period
     faces = ratio * (1 - ratio) / max(across, 1.0)

@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from amslicer.levelspread import level_deviation, level_limit
 from amslicer.locking import locked_deviation
-from amslicer.spread import ALIGNED_SHARE, share_deviation, share_limit
+from amslicer.spread import ALIGNED_SHARE, pixel_deviation, share_deviation, share_limit
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
 
+VALUE = "value"
 LEAF_PERIODS = 4.0  # no window is narrower (but for a part that is)
 MAX_LEAVES = 64  # along an axis: 32 × 32 × 8 windows of a large part are enough to look at
 PLACES = 2  # per axis of a window where the painted direction is read
@@ -106,6 +108,7 @@ class RatioWindows:
         """The windows of each size, from the leaves to the whole part.
 
         Args:
+            profile: a phase's, or VALUE: materials are what lies above levels of a value.
             aligned: phases are: oblique laminates then scatter less, sheets that run along a window's side more, as
                 those of a grating do. The larger is expected.
         """
@@ -167,8 +170,9 @@ class RatioWindows:
         below = np.concatenate([np.zeros((len(until), 1)), until[:, :-1]], axis=1)
         pitch = np.array([*self._grid.pitch_mm, self._grid.layer_mm])[:axes]
         sides_mm = (high_mm - low_mm)[:, :axes]
+        value = profile == VALUE
         law: dict[str, Any] = {
-            "profile": profile, "bandwidth": bandwidth, "dimensions": axes,
+            **({} if value else {"profile": profile}), "bandwidth": bandwidth, "dimensions": axes,
             "window_periods": (sides_mm / period)[:, None], "filled": filled[:, None], "isotropy": isotropy[:, None],
         }  # fmt: skip
         # What a wider period does just beside a window reaches into it: the widest in or at it makes the limit.
@@ -177,6 +181,14 @@ class RatioWindows:
         for share in self._places():
             # Sheets along a window's side are cut in phase only where they run along all of it.
             normal = self._painted.normals(low_mm + share * (high_mm - low_mm))
+            if value:
+                pixel = pixel_deviation(
+                    below, until, profile="symmetric", dimensions=axes,
+                    pixels_per_period=period / pitch.max(), pixels=np.prod(sides_mm / pitch, axis=1)[:, None],
+                )  # fmt: skip
+                sigmas.append(np.hypot(level_deviation(below, until, **law, normal=normal[:, None]), pixel))
+                limits.append(level_limit(below, until, **widest, normal=normal[:, None], pixels=pixel))
+                continue
             pixel = locked_deviation(
                 below, until, profile=profile, cycles_per_pixel=(normal[:, :axes] * pitch / period)[:, None],
                 extents_px=(sides_mm / pitch)[:, None], width_per_pixel=bandwidth * pitch / period.mean(),

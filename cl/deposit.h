@@ -1,6 +1,7 @@
 // From G to bitmaps of the materials: a solid pixel's material is 1 + the number of thresholds that the phase is beyond. A
 // threshold is the profile's key (amslicer/profile.py) at a cumulative ratio; beyond 1 or -3 it is a plain fill. The host
-// defines CYCLIC, and DITHERED: each pixel reads the phase at a random place within itself.
+// defines CYCLIC; VALUE: thresholds are values of Re G, and a pixel is beyond those that are not below its own; and
+// DITHERED: each pixel reads G at a random place within itself.
 
 #ifndef AMSLICER_DEPOSIT_H
 #define AMSLICER_DEPOSIT_H
@@ -67,17 +68,23 @@ void deposit(floatV re, floatV im, global const uchar *solid, global uchar *depo
     im = fma(re, sine_of, im * cosine_of);
     re = turned;
 #endif
+#if !VALUE
     const floatV power = fma(re, re, im * im);
     floatV key = re * fabs(re);
 #if CYCLIC
     key = select(key, -2.0f * power - key, im < 0.0f);
+#endif
 #endif
     const size_t plane = (size_t)profile.padded.x * profile.padded.y;
     const size_t place = (size_t)row * profile.padded.x + (size_t)column;
     intV material = (intV)0;
     for (uint p = 0; p < profile.planes; ++p) {
         const floatV threshold = vloadV(0, profile.thresholds + p * plane + place);
+#if VALUE
+        material -= re <= threshold;
+#else
         material -= (threshold > 1.0f) | ((threshold >= -3.0f) & (key <= threshold * power));
+#endif
     }
     uchar rest[VECTOR / 8];
     for (int i = 0; i < VECTOR / 8; ++i) rest[i] = solid[place / 8 + i];

@@ -170,7 +170,7 @@ PATTERN: dict[str, SearchStrategy[Any]] = {
     "period": fields(1, 3),
     "bandwidth": numbers(0.4, 1),
     "impulses": numbers(3, 10),
-    "alignment": st.just(0),
+    "alignment": st.sampled_from([0, 2]),
     "evaluate": st.sampled_from(["lattice", "exact"]),
     "seed": st.one_of(st.integers(0, 9), st.just(2**64 - 1)),
 }
@@ -198,6 +198,8 @@ def jobs(draw: st.DrawFn) -> dict[str, Any]:
     dimensions = draw(st.sampled_from([2, 3]))
     names = [m if isinstance(m, str) else m["name"] for m in chosen]
     pattern = draw(st.fixed_dictionaries({}, optional=PATTERN))
+    if NOISES[pattern.get("noise", "phasor")].reads == "value":  # there is no phase
+        pattern = {k: v for k, v in pattern.items() if k not in ("profile", "alignment")}
     arrows = PROFILES[pattern.get("profile", "pwm")].cyclic
     painted = {"orientation": orientations(dimensions, arrows=arrows), "isotropy": fields(0, 1)}
     return {

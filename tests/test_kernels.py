@@ -229,7 +229,7 @@ def device_labels(
     thresholds = np.broadcast_to(kind.thresholds(cumulative), (len(cumulative), rows, columns))
     waves = np.zeros((len(tiles), 4), np.float32)
     waves[:, :3] = 0.0 if wave is None else wave
-    macros = {**constants(device, shape), "CYCLIC": kind.cyclic, "DITHERED": wave is not None}
+    macros = {**constants(device, shape), "CYCLIC": kind.cyclic, "DITHERED": wave is not None, "VALUE": 0}
     deposits = np.zeros((layers, len(cumulative) + 1, rows, columns // 8), np.uint8)
     out = zeroed(device, deposits.nbytes)
     device.kernel("profile", macros)(

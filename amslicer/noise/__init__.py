@@ -5,14 +5,73 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from typing import TYPE_CHECKING, Protocol
 
+from amslicer.noise.gabor import Gabor
 from amslicer.noise.kernels import Kernels, Noise
 from amslicer.noise.phasor import Phasor
 
-# Name -> maker(periods_mm=, bandwidth=, dimensions=, seed=, impulses=default of the noise).
-NOISES: dict[str, Callable[..., Noise]] = {
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import ArrayLike, NDArray
+
+    from amslicer.reference import Scalar
+
+
+class Maker(Protocol):
+    """A noise's class."""
+
+    @property
+    def reads(self) -> str:
+        """As of Noise."""
+
+    def __call__(
+        self, *, periods_mm: tuple[float, float], bandwidth: float, dimensions: int, seed: int, impulses: float = ...
+    ) -> Noise:
+        """The noise with its parameters; impulses have a default per noise."""
+
+
+NOISES: dict[str, Maker] = {
     "phasor": Phasor,
+    "gabor": Gabor,
 }
 
-__all__ = ["NOISES", "Kernels", "Noise"]
+__all__ = ["NOISES", "Kernels", "Noise", "sample"]
+
+
+def sample(
+    name: str, x: ArrayLike, y: ArrayLike, z: ArrayLike = 0.0, *, period: Scalar = 1.0, bandwidth: float = 0.5,
+    orientation: Scalar = 0.0, elevation: Scalar = 0.0, isotropy: Scalar = 0.0, seed: int = 1,
+    dimensions: int | None = None, impulses: float | None = None,
+) -> NDArray[np.complex128]:  # fmt: skip
+    """A noise's complex field G at any points, in plain float64: no part, no file, no device.
+
+    The same field as a job's with these parameters, whose origin is the lowest corner of its part. Its phase arg G
+    makes the sheets of phasor noise (material 1 where |arg G| < π ratio); its real part is Gabor noise. Kernels are
+    summed one by one: some 10⁵ points per second.
+
+    Args:
+        name: a key of NOISES.
+        x, y, z: coordinates in mm, which broadcast.
+        period: p, mm from sheet to sheet: a number, or a function of (N, 3) places that gives (N,) numbers, which is
+            read at the kernels' centres and varies by less than an octave within a kernel's reach.
+        bandwidth: B, relative to 1/period, above 0 up to 2.
+        orientation: azimuth of the normal, degrees from +x towards +y: a number or a function, as the period.
+        elevation: of the normal above the xy plane, degrees, likewise; 0 in 2D.
+        isotropy: 0 laminate … 1 isotropic, likewise.
+        seed: 0 … 2^64 - 1.
+        dimensions: 2 or 3; default 3 where z or elevation is given, else 2.
+        impulses: Λ, kernels per B^dimensions; default: the noise's.
+
+    Returns:
+        complex128, in the coordinates' common shape.
+
+    Raises:
+        UsageError: there is no such noise, or a parameter is out of its range.
+    """
+    from amslicer.noise.sampling import sample as sampled
+
+    return sampled(
+        name, x, y, z, period=period, bandwidth=bandwidth, orientation=orientation, elevation=elevation,
+        isotropy=isotropy, seed=seed, dimensions=dimensions, impulses=impulses,
+    )  # fmt: skip

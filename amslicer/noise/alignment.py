@@ -73,6 +73,20 @@ class Aligned:
         """The most kernels per mm^dimensions, where the period is shortest."""
         return self.noise.density
 
+    @property
+    def impulses(self) -> float:
+        """Kernels per bandwidth^dimensions."""
+        return self.noise.impulses
+
+    @property
+    def reads(self) -> str:
+        """What materials follow from."""
+        return self.noise.reads
+
+    def levels_of(self, cumulative: NDArray[Any]) -> Floats:
+        """As the noise's."""
+        return self.noise.levels_of(cumulative)
+
     def cell_layers(self, low_z_mm: float, high_z_mm: float) -> list[CellLayer]:
         """The layers of cells whose kernels can reach these heights."""
         return self.noise.cell_layers(low_z_mm, high_z_mm)

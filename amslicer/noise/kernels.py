@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
@@ -112,7 +112,18 @@ class Kernels:
 
 
 class Noise(Protocol):
-    """A noise with its parameters, ready to hand out kernels, one layer of cells after another."""
+    """A noise with its parameters, ready to hand out kernels, one layer of cells after another.
+
+    Attributes:
+        impulses: kernels per bandwidth^dimensions.
+        reads: "phase": materials follow from arg G, which is uniform; "value": from Re G, by its `levels_of`.
+    """
+
+    @property
+    def impulses(self) -> float: ...
+
+    @property
+    def reads(self) -> str: ...
 
     @property
     def dimensions(self) -> int:
@@ -125,6 +136,9 @@ class Noise(Protocol):
     @property
     def density(self) -> float:
         """The most kernels per mm^dimensions, where the period is shortest."""
+
+    def levels_of(self, cumulative: NDArray[Any]) -> Floats:
+        """The values of Re G that shares of all values, 0…1, lie above; of noises whose value is read."""
 
     def cell_layers(self, low_z_mm: float, high_z_mm: float) -> list[CellLayer]:
         """The layers of cells whose kernels can reach these heights: (level, layer of cells); one per level in 2D."""

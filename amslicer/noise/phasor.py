@@ -15,7 +15,7 @@ kernels do not reach over fine sheets; density and level follow q_j, the carrier
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
@@ -53,6 +53,11 @@ class Phasor:
     dimensions: int
     seed: int
     impulses: float = DEFAULT_IMPULSES
+    reads: ClassVar[str] = "phase"
+
+    def levels_of(self, cumulative: NDArray[Any]) -> Floats:
+        """Not of a noise whose phase is read."""
+        raise NotImplementedError
 
     @property
     def radius_mm(self) -> float:

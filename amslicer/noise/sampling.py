@@ -1,0 +1,69 @@
+"""Noises at any points, by their parameters alone: the reference in amslicer/reference.py under the noises' names."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from amslicer import reference
+from amslicer.errors import UsageError
+from amslicer.noise import NOISES
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike, NDArray
+
+    from amslicer.reference import Scalar
+
+    Floats = NDArray[np.float64]
+
+SAMPLED = 17  # per axis of the points' box where a function's bounds are looked for
+ROOM = 1.25  # that the bounds get beyond what was seen
+
+
+def sample(
+    name: str, x: ArrayLike, y: ArrayLike, z: ArrayLike, *, period: Scalar, bandwidth: float, orientation: Scalar,
+    elevation: Scalar, isotropy: Scalar, seed: int, dimensions: int | None, impulses: float | None,
+) -> NDArray[np.complex128]:  # fmt: skip
+    """As amslicer.noise.sample says."""
+    if name not in NOISES:
+        raise UsageError(f"there is no noise '{name}'", hint=f"there are: {', '.join(NOISES)}")
+    flat = np.ndim(z) == 0 and z == 0 and not callable(elevation) and elevation == 0
+    dimensions = dimensions or (2 if flat else 3)
+    for key, value, low, high in (
+        ("period", period, np.finfo(float).tiny, np.inf), ("bandwidth", bandwidth, np.finfo(float).tiny, 2.0),
+        ("isotropy", isotropy, 0.0, 1.0), ("seed", seed, 0, 2**64 - 1), ("dimensions", dimensions, 2, 3),
+        ("impulses", 1.0 if impulses is None else impulses, np.finfo(float).tiny, np.inf),
+    ):  # fmt: skip
+        if not callable(value) and not low <= value <= high:
+            raise UsageError(f"{key} is {value}; it is between {low:.3g} and {high:.3g}")
+    points = np.stack(np.broadcast_arrays(*(np.asarray(c, np.float64) for c in (x, y, z))), axis=-1).reshape(-1, 3)
+    periods = _bounds(period, points) if callable(period) else (float(period), float(period))
+    noise = NOISES[name](
+        periods_mm=periods, bandwidth=bandwidth, dimensions=dimensions, seed=seed,
+        **({} if impulses is None else {"impulses": impulses}),
+    )  # fmt: skip
+
+    def normal(places: Floats) -> Floats:
+        azimuth, tilt = (np.deg2rad(v(places) if callable(v) else v) for v in (orientation, elevation))
+        azimuth, tilt = (np.broadcast_to(v, len(places)) for v in (azimuth, tilt))
+        return np.stack([np.cos(tilt) * np.cos(azimuth), np.cos(tilt) * np.sin(azimuth), np.sin(tilt)], axis=-1)
+
+    def clipped(places: Floats) -> Floats:
+        return np.clip(period(places), *periods) if callable(period) else np.full(len(places), period)
+
+    return reference.phasor(
+        x, y, z, period=clipped, bandwidth=bandwidth, dimensions=dimensions, seed=seed, normal=normal,
+        isotropy=isotropy, impulses=noise.impulses, periods=periods,
+    )  # fmt: skip
+
+
+def _bounds(period: object, points: Floats) -> tuple[float, float]:
+    """The shortest and longest period in the points' box, with some room."""
+    assert callable(period)
+    low, high = points.min(axis=0), points.max(axis=0)
+    axes = [np.linspace(a, b, SAMPLED if b > a else 1) for a, b in zip(low, high, strict=True)]
+    seen = np.asarray(period(np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 3)))
+    if not np.min(seen) > 0:
+        raise UsageError(f"period falls to {np.min(seen):.3g} mm; it is greater than 0")
+    return float(np.min(seen)) / ROOM, float(np.max(seen)) * ROOM
