@@ -41,15 +41,18 @@ class Evaluator:
         tiling: the tiles' nodes.
         block: number of the block of layers.
         planar: 2D: the kernels do not know z.
+        envelope: of kernels that are no products along the axes: values over (|d|/radius)², evenly from 0 to 1, the
+            last one 0. None: Gaussians.
     """
 
     def __init__(
         self, device: Device, kernels: Kernels, tiles: NDArray[np.int32], tile_normals: Floats,
-        tiling: Tiling, block: int, *, planar: bool,
+        tiling: Tiling, block: int, *, planar: bool, envelope: NDArray[np.float32] | None = None,
     ) -> None:  # fmt: skip
         self.device = device
         self.kernels = kernels
         self.planar = planar
+        self._envelope = envelope
         self.tiling = tiling
         self._nodes = tiling.nodes[0].count
         self._base_mm = block * tiling.nodes[2].side_mm + tiling.nodes[2].start_mm
@@ -61,6 +64,7 @@ class Evaluator:
         self._axes = [device.buffer(self._axis(a)) for a in (0, 1)]
         self._lists = [device.buffer(a) for a in (self.lists.tiles, self.lists.starts, self.lists.entries)]
         self._tables: list[Any] | None = None
+        self._radial: list[Any] | None = None
         self._along: tuple[tuple[int, int], Any] | None = None
 
     @property
@@ -87,6 +91,9 @@ class Evaluator:
         out = out or self.device.scratch("field", 8 * count * len(some) * self._nodes**2)
         if needed is None:
             needed = self.device.buffer(np.full((len(self.lists.tiles), count), 0xFF, np.uint8))
+        if self._envelope is not None:
+            self._enqueue_radial(out, first, count, some, needed)
+            return out, np.arange(len(some), dtype=np.uint32)
         if self._tables is None:
             self._tables = [self._table(a) for a in (0, 1)]
         if len(some):
@@ -97,6 +104,23 @@ class Evaluator:
                 np.uint32(some.start),
             )  # fmt: skip
         return out, np.arange(len(some), dtype=np.uint32)
+
+    def _enqueue_radial(self, out: Any, first: int, count: int, some: range, needed: Any) -> None:
+        if not len(some):
+            return
+        assert self._envelope is not None
+        tiles, starts, entries = self._lists
+        kernels, device = self.kernels, self.device
+        if self._radial is None:
+            columns = (self._base_mm - kernels.centre_mm[:, 2], kernels.wave[:, 2], kernels.phase, kernels.radius_mm)
+            table = np.append(self._envelope, 0).astype(np.float32)
+            self._radial = [device.buffer(np.stack(columns, axis=-1).astype(np.float32)), device.buffer(table)]
+        places = [np.array([n.step_mm, n.start_mm, n.side_mm, 0], np.float32) for n in self.tiling.nodes[:2]]
+        device.kernel("radial", self._work_shape)(
+            device.queue, (count, len(some)), (1, 1), out, tiles, needed, starts, entries, *self._axes, *self._radial,
+            np.uint32(len(self._envelope) - 1), *places, np.float32(self.tiling.nodes[2].step_mm), np.uint32(first),
+            np.uint32(self.planar), np.uint32(some.start),
+        )  # fmt: skip
 
     def field_per_pixel(self, first: int, count: int) -> tuple[Any, NDArray[np.uint32]]:
         """The same G of all tiles, whose nodes are pixels, with exponential, sine and cosine of each kernel at each."""

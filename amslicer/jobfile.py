@@ -257,6 +257,12 @@ def _refuse_contradictions(spec: JobFile, origin: Origin) -> None:
     from amslicer.specification import AzimuthElevation, VectorComponents
 
     pattern, fields = spec.pattern, spec.fields
+    if pattern.noise == "phacelle" and pattern.impulses is not None:
+        raise origin.error(
+            ("pattern", "impulses"),
+            f"pattern.impulses: {pattern.impulses:g}, but phacelle noise has one splat in each of its cells",
+            "leave it out",
+        )
     if NOISES[pattern.noise].reads == "value":
         for key, default in (("profile", ("pwm", "symmetric")), ("alignment", (0,))):
             value = getattr(pattern, key)

@@ -209,7 +209,9 @@ class Pattern:
         base = block * along_z.side_mm
         kernels = self._kernels(low, high, base + along_z.start_mm, base + along_z.end_mm)
         normals = self.painted.normals(self._centres(tiling, tiles, block))
-        return Evaluator(self.device, kernels, tiles, normals, tiling, block, planar=self.planar)
+        return Evaluator(
+            self.device, kernels, tiles, normals, tiling, block, planar=self.planar, envelope=self.noise.envelope
+        )
 
     def waves(self, tiles: NDArray[np.int32], block: int) -> NDArray[np.float32]:
         """(T, 4) the painted wave at the tiles' centres, in rad per column, row and layer; 0 where edges are sharp."""

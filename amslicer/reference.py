@@ -184,6 +184,70 @@ def phasor(
     return total.reshape(shape)
 
 
+def phacelle(
+    x: ArrayLike, y: ArrayLike, z: ArrayLike, *, period: Scalar, side_mm: float, dimensions: int, seed: int,
+    normal: Normal, isotropy: Scalar = 0.0,
+) -> Complexes:  # fmt: skip
+    """Sampled Phacelle noise: in a window of 4 cells a side around the nearest cell corner, one splat per cell.
+
+    Σ_j max(0, exp(-2 d_j²) - exp(-4.5)) exp(i (k_j·(x - x_j) + φ_j)), d_j in cells; the φ_j are random, unlike there.
+
+    Args:
+        x, y, z: coordinates in mm, which broadcast; z is ignored in 2D.
+        side_mm: of a cell.
+        period, normal, isotropy: at the splats, as in `phasor`.
+    """
+    point = np.stack(np.broadcast_arrays(*(np.asarray(c, np.float64) for c in (x, y, z))), axis=-1)
+    shape, point = point.shape[:-1], point.reshape(-1, 3) * ((1, 1, 1) if dimensions == 3 else (1, 1, 0))
+    corner = np.rint(point / side_mm).astype(np.int64)
+    total = np.zeros(len(point), np.complex128)
+    steps = range(-2, 2)
+    for step in product(steps, steps, steps if dimensions == 3 else (0,)):
+        cell = corner + step
+        places, phases = impulses_of(cell, side_mm=side_mm, per_cell=1, dimensions=dimensions, seed=seed)
+        place, phase = places[:, 0], phases[:, 0]
+        n = np.broadcast_to(normal(place) if callable(normal) else np.asarray(normal, np.float64), place.shape)
+        width = np.full(len(place), math.sqrt(2 / math.pi) / side_mm)
+        k = turned(n, _at(isotropy, place), place, width, dimensions, seed) * (2 * np.pi / _at(period, place))[:, None]
+        d = point - place
+        weight = np.maximum(0, np.exp(-2 * _dot(d, d) / side_mm**2) - math.exp(-4.5))
+        total += weight * np.exp(1j * (_dot(k, d) + phase))
+    return total.reshape(shape)
+
+
+def isotropic_gabor(
+    x: ArrayLike, y: ArrayLike, z: ArrayLike, *, period: float, bandwidth: float, dimensions: int, seed: int,
+    impulses: float, error: float = 1e-3,
+) -> Complexes:  # fmt: skip
+    """Sums of isotropic Gabor kernels exp(-πb²r²) J₀(2πr/p), in space exp(-πb²r²) sin(2πr/p)/(2πr/p), times exp(iφ_j).
+
+    Args:
+        x, y, z: coordinates in mm, which broadcast; z is ignored in 2D.
+        period, bandwidth, dimensions, seed, impulses, error: as in `phasor`; kernels end at a distance r.
+    """
+    from scipy.special import j0
+
+    point = np.stack(np.broadcast_arrays(*(np.asarray(c, np.float64) for c in (x, y, z))), axis=-1)
+    shape, point = point.shape[:-1], point.reshape(-1, 3) * ((1, 1, 1) if dimensions == 3 else (1, 1, 0))
+    width = bandwidth / period
+    radius = cut_radius(width, dimensions, error)
+    per_cell, side = cells_of(width, dimensions, impulses)
+    low, high = (
+        np.floor((edge + s * radius) / side).astype(int) for edge, s in ((point.min(0), -1), (point.max(0), 1))
+    )
+    if dimensions == 2:
+        low[2], high[2] = 0, 0
+    cells = np.array(list(product(*(range(a, b + 1) for a, b in zip(low, high, strict=True)))))
+    places, phases = impulses_of(cells, side_mm=side, per_cell=per_cell, dimensions=dimensions, seed=seed)
+    total = np.zeros(len(point), np.complex128)
+    for place, phase in zip(places.reshape(-1, 3), phases.reshape(-1), strict=True):
+        r = np.sqrt(_dot(point - place, point - place))
+        near = r < radius
+        wave = j0(2 * np.pi * r[near] / period) if dimensions == 2 else np.sinc(2 * r[near] / period)
+        total[near] += np.exp(-np.pi * (width * r[near]) ** 2) * wave * np.exp(1j * phase)
+    return total.reshape(shape)
+
+
 def _at(value: Scalar, places: Floats) -> Floats:
     return np.asarray(value(places) if callable(value) else np.full(len(places), float(value)))
 

@@ -7,13 +7,14 @@ import math
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from amslicer.errors import AmslicerError, JobError, StorageError
+from amslicer.fields.constant import ConstantSampler
 from amslicer.judgement import direction_problems, isotropy_problems, period_problems, ratio_problems
 from amslicer.levelspread import level_deviation
 from amslicer.manifest import LayerRecord, placement_of
@@ -282,7 +283,10 @@ def _job_of(stack: Stack, fields: str | os.PathLike[str] | None) -> Job:
 
 def _painted(stack: Stack, job: Job) -> Painted:
     low, high = np.array(stack.manifest["part"]["file_bbox_mm"], float)
-    return open_fields(job, placement_of(stack.manifest), high - low)
+    painted = open_fields(job, placement_of(stack.manifest), high - low)
+    if NOISES[job.spec.pattern.noise].directed:
+        return painted
+    return replace(painted, isotropy=ConstantSampler(1.0))
 
 
 def _missing_layers(stack: Stack) -> Iterator[str]:

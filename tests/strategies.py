@@ -200,6 +200,8 @@ def jobs(draw: st.DrawFn) -> dict[str, Any]:
     pattern = draw(st.fixed_dictionaries({}, optional=PATTERN))
     if NOISES[pattern.get("noise", "phasor")].reads == "value":  # there is no phase
         pattern = {k: v for k, v in pattern.items() if k not in ("profile", "alignment")}
+    if pattern.get("noise") == "phacelle":
+        pattern.pop("impulses", None)
     arrows = PROFILES[pattern.get("profile", "pwm")].cyclic
     painted = {"orientation": orientations(dimensions, arrows=arrows), "isotropy": fields(0, 1)}
     return {

@@ -332,7 +332,7 @@ def test_refused_with_its_key(key: str, value: Any, said: str) -> None:
 @pytest.mark.parametrize(
     ("key", "value"),
     [
-        ("pattern.noise", "gabor-isotropic"),
+        ("pattern.noise", "phacelle-simple"),
         ("pattern.noise", "asymptotic-spot"),
         ("fields.ratio", {"volume": "ratio.npy"}),
         ("fields.ratio", {"vertex": "name"}),

@@ -7,8 +7,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Protocol
 
-from amslicer.noise.gabor import Gabor
+from amslicer.noise.gabor import Gabor, IsotropicGabor
 from amslicer.noise.kernels import Kernels, Noise
+from amslicer.noise.phacelle import Phacelle
 from amslicer.noise.phasor import Phasor
 
 if TYPE_CHECKING:
@@ -25,6 +26,10 @@ class Maker(Protocol):
     def reads(self) -> str:
         """As of Noise."""
 
+    @property
+    def directed(self) -> bool:
+        """Whether it follows the painted direction; else it is isotropic everywhere."""
+
     def __call__(
         self, *, periods_mm: tuple[float, float], bandwidth: float, dimensions: int, seed: int, impulses: float = ...
     ) -> Noise:
@@ -34,6 +39,8 @@ class Maker(Protocol):
 NOISES: dict[str, Maker] = {
     "phasor": Phasor,
     "gabor": Gabor,
+    "gabor-isotropic": IsotropicGabor,
+    "phacelle": Phacelle,
 }
 
 __all__ = ["NOISES", "Kernels", "Noise", "sample"]

@@ -83,6 +83,11 @@ class Aligned:
         """What materials follow from."""
         return self.noise.reads
 
+    @property
+    def envelope(self) -> NDArray[np.float32] | None:
+        """As the noise's."""
+        return self.noise.envelope
+
     def levels_of(self, cumulative: NDArray[Any]) -> Floats:
         """As the noise's."""
         return self.noise.levels_of(cumulative)

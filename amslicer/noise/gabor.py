@@ -15,18 +15,26 @@ Kernels of any width have the same variance, for there are Λ of them per b^-d.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from amslicer.noise.phasor import Phasor
+from amslicer.noise.phasor import TRUNCATION_ERROR, Phasor, truncation_radius
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from amslicer.noise.kernels import CellLayer, Generator, Kernels, Paint
+
+    Floats = NDArray[np.float64]
+
 # So that values are nearly Gaussian.
 DEFAULT_IMPULSES = 12.0
+SAMPLES = 4096  # of an isotropic kernel over r²
+# Of its values' distribution: places of a kernel, frequencies up to WAVES/σ, values up to ± REACH σ.
+RADII, STEPS, WAVES, REACH = 600, 1601, 12.0, 8.0
 
 
 @dataclass(frozen=True)
@@ -59,3 +67,79 @@ class Gabor(Phasor):
         inner = np.where(finite, t, 0.0)
         corrected = inner + self.kurtosis * (inner**3 - 3 * inner) / 24
         return np.asarray(self.deviation * np.where(finite, corrected, t))
+
+
+@dataclass(frozen=True)
+class IsotropicGabor(Gabor):
+    """Gabor noise of kernels without a direction (Lagae et al. 2011, section III); attributes as of Phasor.
+
+    With F = 1/p the kernels are exp(-π b² r²) J₀(2πF r) in the plane and exp(-π b² r²) sin(2πF r)/(2πF r) in space: the
+    mean of a Gabor kernel over all directions. The painted direction and isotropy mean nothing to them.
+    """
+
+    directed: ClassVar[bool] = False
+
+    @property
+    def envelope(self) -> NDArray[np.float32] | None:
+        """w over (r/radius)²; the same for all periods, since b = B/p."""
+        r = np.sqrt(np.linspace(0.0, 1.0, SAMPLES + 1)) * truncation_radius(
+            self.bandwidth, self.dimensions, TRUNCATION_ERROR
+        )
+        w = isotropic_kernel(r, self.bandwidth, self.dimensions)
+        w[-1] = 0.0
+        return w.astype(np.float32)
+
+    @property
+    def deviation(self) -> float:
+        """σ: λ ∫w²/2, with ∫w² in closed form (section III, scaled)."""
+        return float(np.sqrt(self.impulses * self.bandwidth**self.dimensions * self._energy / 2))
+
+    @property
+    def _energy(self) -> float:
+        """∫w² of the period 1."""
+        from scipy.special import ive
+
+        b = self.bandwidth
+        if self.dimensions == 2:
+            return float(ive(0, np.pi / b**2) / (2 * b**2))
+        return float(np.sqrt(2) * (1 - np.exp(-2 * np.pi / b**2)) / (8 * np.pi * b))
+
+    def levels_of(self, cumulative: NDArray[Any]) -> NDArray[np.float64]:
+        """As Gabor's, by the exact distribution of independent kernels: they are peaked, and far from Gaussian.
+
+        The characteristic function of Re G is exp(λ ∫ (J₀(u w) - 1)), inverted numerically (Gil-Pelaez 1951).
+        """
+        values, above = self._distribution
+        c = np.asarray(cumulative, np.float64)
+        inner = np.interp(-c, -above, values)
+        return np.where(c <= 0, np.inf, np.where(c >= 1, -np.inf, inner))
+
+    @cached_property
+    def _distribution(self) -> tuple[Floats, Floats]:
+        """Values of Re G, rising, and the shares of all values that lie above them."""
+        from scipy.special import j0
+
+        density = self.impulses * self.bandwidth**self.dimensions
+        r = np.linspace(0.0, truncation_radius(self.bandwidth, self.dimensions, TRUNCATION_ERROR), RADII)
+        area = 2 * np.pi * r if self.dimensions == 2 else 4 * np.pi * r**2
+        w = isotropic_kernel(r, self.bandwidth, self.dimensions)
+        u = np.linspace(0.0, WAVES / self.deviation, STEPS)[1:]
+        characteristic = np.exp(density * np.trapezoid((j0(u[:, None] * w) - 1) * area, r, axis=1))
+        values = np.linspace(-REACH, REACH, STEPS) * self.deviation
+        # sin(uy)/u is y at u = 0, which is the trapezoid's missing end.
+        integral = np.trapezoid(characteristic * np.sin(u * values[:, None]) / u, u, axis=1)
+        integral += 0.5 * u[0] * (values + characteristic[0] * np.sin(u[0] * values) / u[0])
+        return values, np.clip(0.5 - integral / np.pi, 0.0, 1.0)
+
+    def kernels(self, draw: Generator, cell_layer: CellLayer, low_mm: Floats, high_mm: Floats, paint: Paint) -> Kernels:
+        """As Gabor's, without waves."""
+        found = super().kernels(draw, cell_layer, low_mm, high_mm, paint)
+        return replace(found, wave=np.zeros_like(found.wave))
+
+
+def isotropic_kernel(r: Floats, bandwidth: float, dimensions: int) -> Floats:
+    """w at distances r, in periods."""
+    from scipy.special import j0
+
+    wave = j0(2 * np.pi * r) if dimensions == 2 else np.sinc(2 * r)
+    return np.asarray(np.exp(-np.pi * (bandwidth * r) ** 2) * wave)

@@ -116,6 +116,8 @@ class Noise(Protocol):
 
     Attributes:
         impulses: kernels per bandwidth^dimensions.
+        envelope: of kernels that are no products along the axes: values over (|d|/radius)², evenly from 0 to 1, the
+            last one 0. None: Gaussians.
         reads: "phase": materials follow from arg G, which is uniform; "value": from Re G, by its `levels_of`.
     """
 
@@ -124,6 +126,9 @@ class Noise(Protocol):
 
     @property
     def reads(self) -> str: ...
+
+    @property
+    def envelope(self) -> NDArray[np.float32] | None: ...
 
     @property
     def dimensions(self) -> int:

@@ -54,6 +54,12 @@ class Phasor:
     seed: int
     impulses: float = DEFAULT_IMPULSES
     reads: ClassVar[str] = "phase"
+    directed: ClassVar[bool] = True
+
+    @property
+    def envelope(self) -> NDArray[np.float32] | None:
+        """None: Gaussians."""
+        return None
 
     def levels_of(self, cumulative: NDArray[Any]) -> Floats:
         """Not of a noise whose phase is read."""

@@ -9,6 +9,8 @@ import numpy as np
 from amslicer import reference
 from amslicer.errors import UsageError
 from amslicer.noise import NOISES
+from amslicer.noise.gabor import IsotropicGabor
+from amslicer.noise.phacelle import Phacelle
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
@@ -52,6 +54,18 @@ def sample(
     def clipped(places: Floats) -> Floats:
         return np.clip(period(places), *periods) if callable(period) else np.full(len(places), period)
 
+    if isinstance(noise, Phacelle):
+        return reference.phacelle(
+            x, y, z, period=clipped, side_mm=noise.side_mm, dimensions=dimensions, seed=seed, normal=normal,
+            isotropy=isotropy,
+        )  # fmt: skip
+    if isinstance(noise, IsotropicGabor):
+        if callable(period):
+            raise UsageError("period of gabor-isotropic is one number", hint="sample at one period at a time")
+        return reference.isotropic_gabor(
+            x, y, z, period=float(period), bandwidth=bandwidth, dimensions=dimensions, seed=seed,
+            impulses=noise.impulses,
+        )  # fmt: skip
     return reference.phasor(
         x, y, z, period=clipped, bandwidth=bandwidth, dimensions=dimensions, seed=seed, normal=normal,
         isotropy=isotropy, impulses=noise.impulses, periods=periods,

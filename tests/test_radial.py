@@ -1,0 +1,163 @@
+"""Noises whose kernels are no products along the axes: Phacelle and isotropic Gabor, against their NumPy twins."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import analysis
+import numpy as np
+import parts
+import pytest
+from numpy.typing import NDArray
+
+import amslicer
+from amslicer import JobError
+from amslicer.noise.gabor import IsotropicGabor
+from amslicer.noise.phacelle import REACH_CELLS, Phacelle
+from amslicer.pipeline import prepare
+
+Floats = NDArray[np.float64]
+NOISES = ["phacelle", "gabor-isotropic"]
+COARSE = {"pitch_um": 100, "layer_um": 100}
+
+
+def make(folder: Path, size: tuple[float, float, float], noise: str, dimensions: int, **settings: Any) -> amslicer.Job:
+    defaults: dict[str, Any] = {"printer": COARSE, "ratio": 0.3, "orientation": 23}
+    return parts.job(parts.box(folder, size), **{**defaults, "noise": noise, "dimensions": dimensions, **settings})
+
+
+@pytest.mark.parametrize("noise", NOISES)
+@pytest.mark.parametrize("dimensions", [2, 3])
+@pytest.mark.parametrize("bandwidth", [0.3, 0.5, 1.0])
+def test_the_field_is_the_twins(tmp_path: Path, noise: str, dimensions: int, bandwidth: float) -> None:
+    job = make(tmp_path, (4, 3, 1), noise, dimensions, seed=5, bandwidth=bandwidth, period=0.9)
+    grid, layer = prepare(job).grid, 6
+    got = amslicer.field(job, layer)
+    expected = amslicer.noise.sample(
+        noise, grid.x_mm()[None, :], grid.y_mm()[::-1, None], grid.z_mm(layer), period=0.9, orientation=23, seed=5,
+        bandwidth=bandwidth, dimensions=dimensions,
+    )  # fmt: skip
+    assert got.shape == expected.shape
+    # The device interpolates envelopes from tables.
+    assert np.sqrt(np.mean(np.abs(got - expected) ** 2)) < 2e-4 * np.sqrt(np.mean(np.abs(expected) ** 2))
+
+
+@pytest.mark.parametrize("noise", NOISES)
+@pytest.mark.parametrize("ratio", [0.2, 0.5, 0.8])
+@pytest.mark.parametrize("dimensions", [2, 3])
+def test_ratio(tmp_path: Path, noise: str, dimensions: int, ratio: float) -> None:
+    size = (100, 100, 0.1) if dimensions == 2 else (24, 24, 14)
+    labels = parts.labels(make(tmp_path, size, noise, dimensions, ratio=ratio))
+    share = float(np.mean(labels[labels > 0] == 1))
+    print(f"{noise} in {dimensions}D: {share:.4f} of {ratio}")
+    assert share == pytest.approx(ratio, abs=0.01)
+
+
+@pytest.mark.parametrize("noise", NOISES)
+@pytest.mark.parametrize("dimensions", [2, 3])
+def test_the_lattice_changes_few_pixels(tmp_path: Path, noise: str, dimensions: int) -> None:
+    printer = {"dpi": 600, "layer_um": 27}
+    labels = [
+        parts.labels(make(tmp_path, (20, 16, 1.2), noise, dimensions, printer=printer, evaluate=how), 20, 22)
+        for how in ("lattice", "exact")
+    ]
+    changed = np.mean(labels[0] != labels[1])
+    print(f"{noise} in {dimensions}D: {100 * changed:.4f} % differ")
+    assert changed <= 5e-4
+
+
+@pytest.mark.parametrize("noise", NOISES)
+@pytest.mark.parametrize("evaluate", ["lattice", "exact"])
+@pytest.mark.parametrize("dimensions", [2, 3])
+def test_nothing_about_the_run_changes_a_byte(tmp_path: Path, noise: str, dimensions: int, evaluate: str) -> None:
+    ratio = {"a": {"gradient": {"axis": "x", "from": 0, "to": 0.6}}, "b": 0.3, "c": "rest"}
+    job = make(
+        tmp_path, (9, 7, 2), noise, dimensions, printer={"dpi": 600, "layer_um": 40}, ratio=ratio,
+        materials=("a", "b", "c"), evaluate=evaluate,
+    )  # fmt: skip
+    whole = parts.labels(job)
+    assert {1, 2, 3} <= set(np.unique(whole))
+    np.testing.assert_array_equal(parts.labels(job, 17, 19), whole[17:19])
+    single = np.stack([layer.labels for layer in amslicer.layers(job, amslicer.Run(jobs=1))])
+    np.testing.assert_array_equal(single, whole)
+
+
+@pytest.mark.parametrize("noise", NOISES)
+def test_stacks_are_verified(tmp_path: Path, noise: str) -> None:
+    for dimensions, size in ((2, (40, 30, 0.2)), (3, (16, 12, 8))):
+        for seed in (1, 2, 3):
+            job = make(tmp_path, size, noise, dimensions, seed=seed)
+            amslicer.slice_job(job, tmp_path / "out", overwrite=True)
+            report = amslicer.verify(tmp_path / "out")
+            assert report.ok, [c for c in report.checks if not c.ok]
+
+
+# --- Phacelle ---------------------------------------------------------------------------------------------
+
+
+def test_the_weight_is_the_articles_and_reaches_0() -> None:
+    w = Phacelle((1.0, 1.0), 0.5, 2, 1).envelope
+    assert w is not None
+    d = np.sqrt(np.linspace(0, 1, len(w))) * REACH_CELLS
+    np.testing.assert_allclose(w, np.exp(-2 * d**2) - np.exp(-4.5), atol=1e-7)
+    assert w[-1] == 0
+
+
+@pytest.mark.parametrize("dimensions", [2, 3])
+def test_nothing_jumps_where_the_window_moves_on(dimensions: int) -> None:
+    """The largest step of G across lines where the window of 4 × 4 cells moves, against steps elsewhere."""
+    side = Phacelle((1.0, 1.0), 0.5, dimensions, 1).side_mm
+    fine = 1e-4
+    lines = (np.arange(200) + 0.5) * side
+    rng = np.random.default_rng(0)
+    y, z = rng.uniform(0, 50, (2, 200))
+    steps = []
+    for x in (lines, lines + 0.37 * side):
+        values = [
+            amslicer.noise.sample("phacelle", x + s * fine, y, z, orientation=30, dimensions=dimensions)
+            for s in (-1, 1)
+        ]
+        steps.append(np.abs(values[1] - values[0]).max())
+    print(f"{dimensions}D: largest step across a line {steps[0]:.2e}, elsewhere {steps[1]:.2e}")
+    assert steps[0] <= 1.2 * steps[1]
+
+
+def test_phacelle_is_a_laminate(tmp_path: Path) -> None:
+    g = amslicer.field(make(tmp_path, (60, 60, 0.1), "phacelle", 2), 0)
+    sine = analysis.phase_sine(g)
+    assert analysis.line_error(analysis.mean_direction(sine, (0.1, 0.1), 1.0), 23) <= 1.5
+    assert analysis.measured_period(sine, (0.1, 0.1), 1.0) == pytest.approx(1, rel=0.03)
+    assert analysis.low_variance_share(sine, (0.1, 0.1), 1.0) <= 0.01
+
+
+def test_impulses_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(JobError, match="one splat in each"):
+        make(tmp_path, (4, 3, 1), "phacelle", 2, impulses=4)
+
+
+# --- isotropic Gabor --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("dimensions", [2, 3])
+def test_values_have_the_deviation_of_theory(tmp_path: Path, dimensions: int) -> None:
+    size = (150, 150, 0.1) if dimensions == 2 else (30, 30, 30)
+    layers = [0] if dimensions == 2 else range(0, 300, 20)
+    job = make(tmp_path, size, "gabor-isotropic", dimensions)
+    values = np.concatenate([amslicer.field(job, layer).real[::3, ::3].ravel() for layer in layers]).astype(float)
+    expected = IsotropicGabor((1.0, 1.0), 0.5, dimensions, 1).deviation
+    print(f"{dimensions}D: σ {values.std():.4f} of {expected:.4f}")
+    assert values.std() == pytest.approx(expected, rel=0.03)
+
+
+def test_no_direction_stands_out(tmp_path: Path) -> None:
+    """Power at the carrier in 12 sectors, of a plane of 150 periods."""
+    g = amslicer.field(make(tmp_path, (150, 150, 0.1), "gabor-isotropic", 2), 0).real
+    spectrum = np.abs(np.fft.fftshift(np.fft.fft2(g))) ** 2
+    f = np.fft.fftshift(np.fft.fftfreq(len(g), 0.1))
+    angle, radius = np.rad2deg(np.arctan2(f[:, None], f[None, :])) % 180, np.hypot(f[:, None], f[None, :])
+    ring = (radius > 0.6) & (radius < 1.4)
+    assert spectrum[ring].sum() > 0.9 * spectrum.sum()
+    sectors = np.histogram(angle[ring], bins=12, range=(0, 180), weights=spectrum[ring])[0]
+    print("sectors over their mean: " + ", ".join(f"{s:.2f}" for s in sectors / sectors.mean()))
+    assert sectors.max() / sectors.min() < 1.25
