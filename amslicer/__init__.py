@@ -70,7 +70,6 @@ __all__ = [
     "field",
     "layers",
     "load_job",
-    "noise",
     "open_stack",
     "slice_job",
     "verify",

@@ -32,6 +32,7 @@ USAGE = """\
   amslicer preview PART --fields FIELDS.yaml [-o FILE]    a picture before slicing: painted fields and laminate
   amslicer preview OUT [--layer N] [-o FILE]              a picture of a stack
   amslicer info OUT                                       what is in a stack
+  amslicer gallery -o DIR                                 every noise and profile, as pictures
   amslicer devices                                        OpenCL devices, and whether each really works
   amslicer printers                                       the printer profiles
   amslicer init [FIELDS.yaml]                             write a commented starter file
@@ -42,7 +43,7 @@ EPILOG = """\
 exit codes: 0 done, 1 unexpected, 2 usage, 3 job, fields or printer, 4 part, 5 OpenCL device,
 6 reading or writing files, 7 verification failed, 130 interrupted, 143 terminated"""
 # Commands of the language that this version does not have yet.
-PLANNED = ("convert", "check", "batch", "gallery")
+PLANNED = ("convert", "check", "batch")
 
 
 class Stopped(BaseException):
@@ -255,6 +256,12 @@ def _preview_options(parser: argparse.ArgumentParser) -> None:
     _job_options(parser)
 
 
+def _gallery_options(parser: argparse.ArgumentParser) -> None:
+    """Draws every noise with every profile: a sheet of all, and each picture by itself. Needs no OpenCL device."""
+    parser.add_argument("-o", "--out", metavar="DIR", required=True, help="folder for gallery.png and the pictures")
+    parser.add_argument("--quiet", action="store_true", help="do not print the sheet's path")
+
+
 def _devices_options(parser: argparse.ArgumentParser) -> None:
     """Lists the OpenCL devices and tries each in a process of its own. Exit code 5 when none works."""
     parser.add_argument("--refresh", action="store_true", help="try again those that worked before")
@@ -299,6 +306,7 @@ COMMANDS: dict[str, tuple[Callable[[argparse.ArgumentParser], None], str]] = {
     "slice": (_slice_options, "slice_command"),
     "verify": (_verify_options, "verify_command"),
     "preview": (_preview_options, "preview_command"),
+    "gallery": (_gallery_options, "gallery_command"),
     "devices": (_devices_options, "devices_command"),
     "printers": (_printers_options, "printers_command"),
     "init": (_init_options, "init_command"),

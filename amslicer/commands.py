@@ -157,6 +157,31 @@ def preview_command(options: Namespace, check: Callable[[], None]) -> int:
     return 0
 
 
+def gallery_command(options: Namespace, check: Callable[[], None]) -> int:
+    """amslicer gallery"""
+    from PIL import Image
+
+    from amslicer.gallery import pictures, sheet
+    from amslicer.noise import NOISES
+    from amslicer.storage import storage_errors
+
+    folder = Path(options.out)
+    with storage_errors("create", folder):
+        folder.mkdir(parents=True, exist_ok=True)
+    rows: dict[str, list[tuple[str, Any]]] = {}
+    for noise in NOISES:
+        for name, picture in pictures(noise):
+            check()
+            rows.setdefault(noise, []).append((name, picture))
+            if picture is not None:
+                words = "".join(c if c.isalnum() else "-" for c in name.replace(" %", "").replace(",", "")).lower()
+                _save_picture(Image.fromarray(picture), folder / f"{noise}-{words}.png")
+    _save_picture(sheet(rows), folder / "gallery.png")
+    if not options.quiet:
+        print(folder / "gallery.png")
+    return 0
+
+
 def _save_picture(picture: Image, file: Path) -> None:
     import io
 

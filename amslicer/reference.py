@@ -200,18 +200,20 @@ def phacelle(
     point = np.stack(np.broadcast_arrays(*(np.asarray(c, np.float64) for c in (x, y, z))), axis=-1)
     shape, point = point.shape[:-1], point.reshape(-1, 3) * ((1, 1, 1) if dimensions == 3 else (1, 1, 0))
     corner = np.rint(point / side_mm).astype(np.int64)
-    total = np.zeros(len(point), np.complex128)
     steps = range(-2, 2)
-    for step in product(steps, steps, steps if dimensions == 3 else (0,)):
-        cell = corner + step
-        places, phases = impulses_of(cell, side_mm=side_mm, per_cell=1, dimensions=dimensions, seed=seed)
-        place, phase = places[:, 0], phases[:, 0]
-        n = np.broadcast_to(normal(place) if callable(normal) else np.asarray(normal, np.float64), place.shape)
-        width = np.full(len(place), math.sqrt(2 / math.pi) / side_mm)
-        k = turned(n, _at(isotropy, place), place, width, dimensions, seed) * (2 * np.pi / _at(period, place))[:, None]
-        d = point - place
+    window = np.array(list(product(steps, steps, steps if dimensions == 3 else (0,))))
+    cells, splat = np.unique((corner[:, None] + window).reshape(-1, 3), axis=0, return_inverse=True)
+    places, phases = impulses_of(cells, side_mm=side_mm, per_cell=1, dimensions=dimensions, seed=seed)
+    places, phases = places[:, 0], phases[:, 0]
+    n = np.broadcast_to(normal(places) if callable(normal) else np.asarray(normal, np.float64), places.shape)
+    width = np.full(len(places), math.sqrt(2 / math.pi) / side_mm)
+    waves = turned(n, _at(isotropy, places), places, width, dimensions, seed)
+    waves = waves * (2 * np.pi / _at(period, places))[:, None]
+    total = np.zeros(len(point), np.complex128)
+    for j in splat.reshape(len(point), len(window)).T:
+        d = point - places[j]
         weight = np.maximum(0, np.exp(-2 * _dot(d, d) / side_mm**2) - math.exp(-4.5))
-        total += weight * np.exp(1j * (_dot(k, d) + phase))
+        total += weight * np.exp(1j * (_dot(waves[j], d) + phases[j]))
     return total.reshape(shape)
 
 
