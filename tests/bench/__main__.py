@@ -11,6 +11,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from amslicer.noise import NOISES
+
 REPOSITORY = Path(__file__).resolve().parents[2]
 PARTS = {
     "cross_plate": "cross_plate (2D)", "insole": "insole",
@@ -56,6 +58,10 @@ def main() -> None:
         measure("forms", dimensions)  # compiles
     found: dict[str, Any] = {"machine": machine(), "layers": [first, end]}
     found["forms"] = {f"{d}D": measure("forms", d) for d in (2, 3)}
+    for name in NOISES:
+        for dimensions in (2, 3):
+            measure("noise", name, dimensions)  # compiles
+            found.setdefault("noises", {})[f"{name}, {dimensions}D"] = measure("noise", name, dimensions)
     found["whole"] = {}
     for part in PARTS:
         measure("whole", part, "all", 192, 256 if part != "cross_plate" else "all")  # reads the part, compiles
@@ -104,6 +110,11 @@ def table(found: dict[str, Any]) -> Iterator[tuple[str, str]]:
         yield (
             f"bitmaps, {name}, block of 20 × 20 mm: at each pixel, and on the lattice",
             f"{form['exact']:.0f} and {form['lattice']:.0f} Mpx/s: {form['lattice'] / slow:.0f} ×",
+        )
+    for name, made in found["noises"].items():
+        yield (
+            f"bitmaps, {name}, block of 20 × 20 mm ({made['kernels']:.0f} kernels reach a tile of 32 pixels)",
+            f"{made['exact']:.0f} Mpx/s at each pixel, {made['lattice']:.0f} on the lattice",
         )
     for part, text in PARTS.items():
         one, whole = found["whole"][part]["1"], found["whole"][part]["all"]

@@ -185,6 +185,40 @@ def forms(dimensions: str) -> dict[str, Any]:
     return result
 
 
+def noise(name: str, dimensions: str) -> dict[str, Any]:
+    """Bitmaps of a 20 × 20 mm block of a noise, Mpx/s at each pixel and on the lattice; kernels that reach a tile."""
+    import trimesh
+
+    with tempfile.TemporaryDirectory() as folder:
+        part = Path(folder) / "block.stl"
+        trimesh.creation.box((20, 20, 4)).export(part)
+        result: dict[str, Any] = {}
+        for evaluate in ("exact", "lattice"):
+            content = {
+                "printer": "generic-600dpi", "materials": ["a", "b"],
+                "pattern": {"noise": name, "dimensions": int(dimensions), "evaluate": evaluate},
+                "fields": {"ratio": 0.3, "orientation": 30},
+            }  # fmt: skip
+            prepared = prepare(amslicer.load_job(content, part))
+            tiling = prepared.tiling
+            with Device() as device:
+                pattern = prepared.pattern(device)
+                runs = prepared.slicer.runs(tiling.layers, 2 * tiling.layers)
+
+                def make(pattern: Any = pattern, runs: Any = runs, tiling: Any = tiling) -> None:
+                    pattern._planar_field = pattern._planar_labels = None
+                    pattern.block(runs, tiling.layers).deposits(tiling.layers, 2 * tiling.layers)
+
+                result[evaluate] = int(runs.pixels.sum()) / repeat(make, 3) / 1e6
+                if evaluate == "exact":
+                    from amslicer.tiles import all_tiles
+
+                    rows, columns = tiling.over(prepared.grid)
+                    evaluator = pattern.evaluator(tiling, 1, all_tiles((0, 0), (columns, rows)))
+                    result["kernels"] = len(evaluator.lists.entries) / len(evaluator.lists.tiles)
+    return result
+
+
 def vector_form(device: Device, evaluator: Any) -> Callable[[int, int], Any]:
     """The per-pixel form on explicit vectors; checked against the plain one."""
     import pyopencl as cl
@@ -298,7 +332,7 @@ def repeat(work: Callable[[], Any], times: int = 5) -> float:
 
 
 MEASUREMENTS: dict[str, Callable[..., dict[str, Any]]] = {
-    "whole": whole, "stages": stages, "forms": forms, "encode": encode, "prusa": prusa,
+    "whole": whole, "stages": stages, "forms": forms, "noise": noise, "encode": encode, "prusa": prusa,
     "stltovoxel": stltovoxel, "start": start,
 }  # fmt: skip
 
