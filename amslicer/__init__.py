@@ -40,6 +40,7 @@ _PUBLIC = {
 }
 
 if TYPE_CHECKING:
+    from amslicer import analysis as analysis
     from amslicer import noise as noise
     from amslicer.job import Job as Job
     from amslicer.job import load_job as load_job
@@ -77,10 +78,10 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    if name == "noise":
+    if name in ("analysis", "noise"):
         from importlib import import_module
 
-        return import_module("amslicer.noise")
+        return import_module(f"amslicer.{name}")
     if name not in _PUBLIC:
         raise AttributeError(f"module 'amslicer' has no attribute '{name}'")
     from importlib import import_module

@@ -5,14 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import analysis
 import numpy as np
 import parts
 import pytest
 from numpy.typing import NDArray
 
 import amslicer
-from amslicer import JobError, reference
+from amslicer import JobError, analysis, reference
 from amslicer.device import Device
 from amslicer.generator import DeviceGenerator
 from amslicer.noise import alignment

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-import analysis
 import numpy as np
 import pytest
-from analysis import Floats, Pitch
+
+from amslicer import analysis
+from amslicer.analysis import Floats, Pitch
 
 SQUARE, OBLONG = (0.083, 0.083), (25.4 / 600, 25.4 / 300)
 BLOCK_PITCH = (0.083, 0.1, 0.12)
@@ -134,3 +135,51 @@ def test_normals_see_a_mirrored_block(axis: int) -> None:
 def test_line_mean_does_not_mind_signs() -> None:
     normals = np.array([analysis.normal(10, 0), -analysis.normal(30, 0)])
     assert analysis.normal_error(analysis.line_mean(normals, np.ones(2)), analysis.normal(20, 0)) < 1e-3
+
+
+def wave(angle: float, period: float, pitch: tuple[float, float], shape: tuple[int, int] = (300, 400)) -> Floats:
+    """A cosine of a direction, row 0 at the largest y."""
+    x, y = (np.arange(shape[1]) + 0.5) * pitch[0], (np.arange(shape[0])[::-1] + 0.5) * pitch[1]
+    a = np.deg2rad(angle)
+    return np.asarray(np.cos(2 * np.pi / period * (np.cos(a) * x[None, :] + np.sin(a) * y[:, None])))
+
+
+@pytest.mark.parametrize("pitch", [(0.1, 0.1), (0.1, 0.15)])
+def test_radial_power_peaks_at_the_carrier_and_holds_the_variance(pitch: tuple[float, float]) -> None:
+    frequency, density = analysis.radial_power(wave(35, 1.25, pitch), pitch)
+    assert frequency[np.argmax(density)] == pytest.approx(0.8, abs=frequency[1] - frequency[0])
+    rings = 2 * np.pi * frequency * (frequency[1] - frequency[0])
+    assert np.sum(density * rings) == pytest.approx(0.5, rel=0.1)
+    noise = np.random.default_rng(0).normal(size=(300, 400))
+    flat = analysis.radial_power(noise, pitch, bins=8)[1]
+    np.testing.assert_allclose(flat, pitch[0] * pitch[1], rtol=0.1)
+
+
+@pytest.mark.parametrize("angle", [10.0, 63.0, 120.0, 171.0])
+def test_angular_power_is_in_the_sector_of_the_normal(angle: float) -> None:
+    middles, shares = analysis.angular_power(wave(angle, 1.0, (0.1, 0.12)), (0.1, 0.12), 1.0)
+    assert shares.sum() == pytest.approx(1)
+    assert analysis.line_error(middles[np.argmax(shares)], angle) <= 2.6
+    assert shares.max() > 0.6
+
+
+def test_autocovariance_of_a_wave_is_half_its_cosine() -> None:
+    field = wave(0, 1.0, (0.1, 0.1), (60, 400))
+    found = analysis.autocovariance(field)
+    assert found.shape == (119, 799)
+    shift = np.arange(-100, 101)
+    np.testing.assert_allclose(found[59, 399 + shift], 0.5 * np.cos(2 * np.pi * shift / 10), atol=0.01)
+    values = np.random.default_rng(1).normal(size=(7, 9))
+    values -= values.mean()
+    assert analysis.autocovariance(values)[6 + 2, 8 - 3] == pytest.approx(np.mean(values[2:, :-3] * values[:-2, 3:]))
+
+
+def test_local_ratio_counts_the_solid_alone() -> None:
+    labels = np.zeros((40, 60), np.uint8)
+    labels[:, 10:30], labels[:, 30:50] = 1, 2
+    share = analysis.local_ratio(labels, (0.1, 0.1), 0.5)
+    assert np.isnan(share[20, 0])
+    assert share[20, 12] == 1
+    assert share[20, 45] == 0
+    assert share[20, 29] == pytest.approx(3 / 5)
+    assert analysis.local_ratio(labels, (0.1, 0.1), 0.5, material=2)[20, 29] == pytest.approx(2 / 5)

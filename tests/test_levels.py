@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import analysis
 import numpy as np
 import parts
 import pytest
 from numpy.typing import NDArray
 
 import amslicer
-from amslicer import envelope
+from amslicer import analysis, envelope
 from amslicer.pipeline import prepare
 
 Floats = NDArray[np.float64]

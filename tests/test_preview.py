@@ -6,7 +6,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import analysis
 import meshes
 import numpy as np
 import parts
@@ -15,7 +14,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 import amslicer
-from amslicer import Job, JobError, Run, cli
+from amslicer import Job, JobError, Run, analysis, cli
 from amslicer.fieldpictures import RAMP, STROKE_STEP_PX, direction_picture, draw_strokes, hue_colors, ramp_colors
 from amslicer.partpreview import (
     AREA_PX,

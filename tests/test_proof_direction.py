@@ -11,12 +11,13 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import analysis
 import numpy as np
 import parts
 import pytest
 from numpy.typing import NDArray
 from PIL import Image
+
+from amslicer import analysis
 
 DATA = os.environ.get("AMSLICER_TEST_DATA")
 needs_data = pytest.mark.skipif(not DATA, reason="AMSLICER_TEST_DATA is not set")

@@ -10,12 +10,13 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import analysis
 import meshes
 import numpy as np
 import parts
 import pytest
 from numpy.typing import NDArray
+
+from amslicer import analysis
 
 F = ("XXXXX",
      "X....",

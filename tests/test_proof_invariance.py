@@ -5,13 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import analysis
 import meshes
 import numpy as np
 import parts
 import pytest
 
 import amslicer
+from amslicer import analysis
 
 PITCH = parts.pitch_mm(parts.SQUARE)[:2]
 

@@ -8,13 +8,13 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
-import analysis
 import numpy as np
 import parts
 import pytest
 from scipy import stats
 
 import amslicer
+from amslicer import analysis
 from amslicer.device import Device
 from amslicer.generator import DeviceGenerator
 from amslicer.noise.turn import turned

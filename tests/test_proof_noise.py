@@ -6,12 +6,12 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import analysis
 import numpy as np
 import parts
 import pytest
 
 import amslicer
+from amslicer import analysis
 
 PERIOD_LIMIT = 0.04
 ACROSS = 44  # periods

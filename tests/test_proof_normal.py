@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import analysis
 import numpy as np
 import parts
 import pytest
@@ -18,6 +17,7 @@ from scipy import ndimage
 from scipy.spatial.transform import Rotation
 
 import amslicer
+from amslicer import analysis
 
 LIMIT_DEG = 6.0
 WINDOW = 1.5  # periods, σ

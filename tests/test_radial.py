@@ -5,14 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import analysis
 import numpy as np
 import parts
 import pytest
 from numpy.typing import NDArray
 
 import amslicer
-from amslicer import JobError
+from amslicer import JobError, analysis
 from amslicer.noise.gabor import IsotropicGabor
 from amslicer.noise.phacelle import REACH_CELLS, Phacelle
 from amslicer.pipeline import prepare

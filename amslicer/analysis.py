@@ -1,4 +1,7 @@
-"""Measures laminates: direction, period, spectrum, singularities. Knows nothing of the package that made them.
+"""Measures laminates: direction, period, spectra, autocovariance, local ratio, singularities.
+
+For arrays from anywhere – layers of a stack, G of `amslicer.field` or `amslicer.noise.sample`, pictures of other
+programs: nothing here knows what made them, which is why the tests can judge by it.
 
 Arrays are bitmaps, (H, W) with row 0 at the largest y, or blocks of them, (L, H, W) with layer 0 lowest. A
 `pitch_mm` is (x, y) or (x, y, z), so pixels need not be square. Angles are degrees from +x towards +y; directions are
@@ -31,6 +34,7 @@ def signed(labels: NDArray[np.uint8]) -> NDArray[np.float32]:
 
 
 def phase_sine(g: NDArray[np.complex64]) -> Floats:
+    """sin arg G: the laminate's wave at full contrast."""
     return np.sin(np.angle(g))
 
 
@@ -74,7 +78,7 @@ def mean_direction(field: NDArray[np.floating], pitch_mm: Pitch, period_mm: floa
 
 def line_error(a_deg: Floats | float, b_deg: Floats | float) -> Floats:
     """Angle between lines, 0 to 90 degrees."""
-    return np.abs((np.asarray(a_deg) - np.asarray(b_deg) + 90) % 180 - 90)
+    return np.asarray(np.abs((np.asarray(a_deg) - np.asarray(b_deg) + 90) % 180 - 90))
 
 
 def normal(azimuth_deg: Floats | float, elevation_deg: Floats | float) -> Floats:
@@ -85,7 +89,7 @@ def normal(azimuth_deg: Floats | float, elevation_deg: Floats | float) -> Floats
 
 def normal_error(a: Floats, b: Floats) -> Floats:
     """Angle between lines in space, degrees, of (..., 3) unit vectors."""
-    return np.rad2deg(np.arccos(np.clip(np.abs(np.sum(a * b, axis=-1)), 0, 1)))
+    return np.asarray(np.rad2deg(np.arccos(np.clip(np.abs(np.sum(a * b, axis=-1)), 0, 1))))
 
 
 def line_mean(normals: Floats, weights: Floats) -> Floats:
@@ -164,6 +168,67 @@ def low_variance_share(field: NDArray[np.floating], pitch_mm: Pitch, period_mm: 
     """Spectrum of variance: share of the energy of field² (mean removed) below half the carrier."""
     spectrum, frequency = power(np.asarray(field, np.float64) ** 2, pitch_mm)
     return float(spectrum[frequency < 0.5 / period_mm].sum() / spectrum.sum())
+
+
+def radial_power(field: NDArray[np.floating], pitch_mm: Pitch, bins: int = 64) -> tuple[Floats, Floats]:
+    """Mean power spectral density in rings of frequency up to the coarser pitch's Nyquist frequency.
+
+    Returns:
+        (bins,) middles of the rings, cycles per mm; (bins,) density, in the field's unit² mm².
+    """
+    spectrum, frequency = power(field, pitch_mm)
+    rows, columns = field.shape
+    window = tukey(rows, TAPER)[:, None] * tukey(columns, TAPER)[None, :]
+    edges = np.linspace(0.0, 0.5 / max(pitch_mm), bins + 1)
+    mirrored = np.ones_like(frequency)
+    mirrored[:, 1 : (columns + 1) // 2] = 2
+    total = np.histogram(frequency, edges, weights=spectrum)[0]
+    count = np.histogram(frequency, edges, weights=mirrored)[0]
+    density = total / np.maximum(count, 1) * (pitch_mm[0] * pitch_mm[1]) / np.sum(window**2)
+    return (edges[:-1] + edges[1:]) / 2, density
+
+
+def angular_power(
+    field: NDArray[np.floating], pitch_mm: Pitch, period_mm: float, sectors: int = 36
+) -> tuple[Floats, Floats]:
+    """Share of the power within 0.6 to 1.4 carriers in equal sectors of direction.
+
+    Returns:
+        (sectors,) their middles, degrees, 0 to 180; (sectors,) shares, which sum to 1.
+    """
+    spectrum, frequency = power(field, pitch_mm)
+    rows, columns = field.shape
+    fy, fx = np.fft.fftfreq(rows, pitch_mm[1]), np.fft.rfftfreq(columns, pitch_mm[0])
+    angle = np.rad2deg(np.arctan2(-fy[:, None], fx[None, :])) % 180  # rows run towards smaller y
+    band = (frequency > BAND[0] / period_mm) & (frequency < BAND[1] / period_mm)
+    shares = np.histogram(angle[band], sectors, (0, 180), weights=spectrum[band])[0]
+    return (np.arange(sectors) + 0.5) * 180 / sectors, shares / shares.sum()
+
+
+def autocovariance(field: NDArray[np.floating]) -> Floats:
+    """Mean product of the field, its mean removed, with itself shifted by whole pixels; unbiased.
+
+    Returns:
+        (2 H - 1, 2 W - 1), no shift in the middle.
+    """
+    values = np.asarray(field, np.float64)
+    values = values - values.mean()
+    shape = tuple(2 * n - 1 for n in values.shape)
+    products = np.fft.irfft2(np.abs(np.fft.rfft2(values, shape)) ** 2, shape)
+    ones = np.fft.irfft2(np.abs(np.fft.rfft2(np.ones_like(values), shape)) ** 2, shape)
+    return np.asarray(np.fft.fftshift(products / np.maximum(ones, 0.5)))
+
+
+def local_ratio(labels: NDArray[np.uint8], pitch_mm: Pitch, window_mm: float, material: int = 1) -> Floats:
+    """Share of a material (1-based) of the solid in a square window around each pixel; NaN where nothing is solid."""
+    size = max(1, round(window_mm / pitch_mm[1])), max(1, round(window_mm / pitch_mm[0]))
+    some, solid = (
+        ndimage.uniform_filter(np.asarray(mask, np.float64), size, mode="constant")
+        for mask in (labels == material, labels > 0)
+    )
+    share = np.full(labels.shape, np.nan)
+    np.divide(some, solid, out=share, where=solid > 1e-9)
+    return share
 
 
 # --- the complex field -------------------------------------------------------------------------------------
