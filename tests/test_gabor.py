@@ -157,6 +157,17 @@ def test_samples_of_one_point_and_of_painted_parameters() -> None:
         ({"seed": -1}, "seed is -1"),
         ({"dimensions": 4}, "dimensions is 4"),
         ({"impulses": 0}, "impulses is 0"),
+        ({"period": "fine"}, "period is 'fine'; it is greater than 0 mm"),
+        ({"period": np.ones(3)}, "period is array"),
+        ({"period": float("nan")}, "period is nan"),
+        ({"orientation": float("inf")}, "orientation is inf; it is degrees"),
+        ({"elevation": None}, "elevation is None"),
+        ({"bandwidth": lambda p: p[:, 0]}, "bandwidth is <function"),
+        ({"seed": 1.5}, "seed is 1.5; it is a whole number"),
+        ({"seed": float("nan")}, "seed is nan; it is a whole number"),
+        ({"seed": 2**64}, "seed is 18446744073709551616"),
+        ({"name": "phacelle", "impulses": 4}, "one splat per cell"),
+        ({"name": "gabor-isotropic", "period": lambda p: 1 + 0 * p[:, 0]}, "that of gabor-isotropic is one number"),
     ],
 )
 def test_samples_that_are_refused(parameters: dict[str, Any], said: str) -> None:

@@ -53,9 +53,10 @@ def sample(
 ) -> NDArray[np.complex128]:  # fmt: skip
     """A noise's complex field G at any points, in plain float64: no part, no file, no device.
 
-    The same field as a job's with these parameters, whose origin is the lowest corner of its part. Its phase arg G
-    makes the sheets of phasor noise (material 1 where |arg G| < π ratio); its real part is Gabor noise. Kernels are
-    summed one by one: some 10⁵ points per second.
+    The same field as a job's with these parameters, whose origin is the lowest corner of its part. (Where a job's
+    direction turns, its imaginary part may have the other sign, tile by tile; where its period varies, the kernels
+    are others.) Its phase arg G makes the sheets of phasor and Phacelle noise (material 1 where |arg G| < π ratio);
+    its real part is Gabor noise. Kernels are summed one by one, in NumPy.
 
     Args:
         name: a key of NOISES.
@@ -68,7 +69,7 @@ def sample(
         isotropy: 0 laminate … 1 isotropic, likewise.
         seed: 0 … 2^64 - 1.
         dimensions: 2 or 3; default 3 where z or elevation is given, else 2.
-        impulses: Λ, kernels per B^dimensions; default: the noise's.
+        impulses: Λ, kernels per B^dimensions; default: the noise's. Not of phacelle.
 
     Returns:
         complex128, in the coordinates' common shape.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from numbers import Integral, Real
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,6 +12,7 @@ from amslicer.errors import UsageError
 from amslicer.noise import NOISES
 from amslicer.noise.gabor import IsotropicGabor
 from amslicer.noise.phacelle import Phacelle
+from amslicer.specification import MAX_SEED
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
@@ -30,15 +32,26 @@ def sample(
     """As amslicer.noise.sample says."""
     if name not in NOISES:
         raise UsageError(f"there is no noise '{name}'", hint=f"there are: {', '.join(NOISES)}")
-    flat = np.ndim(z) == 0 and z == 0 and not callable(elevation) and elevation == 0
-    dimensions = dimensions or (2 if flat else 3)
-    for key, value, low, high in (
-        ("period", period, np.finfo(float).tiny, np.inf), ("bandwidth", bandwidth, np.finfo(float).tiny, 2.0),
-        ("isotropy", isotropy, 0.0, 1.0), ("seed", seed, 0, 2**64 - 1), ("dimensions", dimensions, 2, 3),
-        ("impulses", 1.0 if impulses is None else impulses, np.finfo(float).tiny, np.inf),
-    ):  # fmt: skip
-        if not callable(value) and not low <= value <= high:
-            raise UsageError(f"{key} is {value}; it is between {low:.3g} and {high:.3g}")
+    if dimensions is None:
+        flat = np.ndim(z) == 0 and z == 0 and not callable(elevation) and elevation == 0
+        dimensions = 2 if flat else 3
+    if name == "phacelle" and impulses is not None:
+        raise UsageError(f"impulses is {impulses}, but phacelle has one splat per cell", hint="leave it out")
+    for key, value, paintable, accepted, said in (
+        ("period", period, True, lambda v: 0 < v < np.inf, "greater than 0 mm"),
+        ("bandwidth", bandwidth, False, lambda v: 0 < v <= 2, "above 0 up to 2"),
+        ("orientation", orientation, True, np.isfinite, "degrees"),
+        ("elevation", elevation, True, np.isfinite, "degrees"),
+        ("isotropy", isotropy, True, lambda v: 0 <= v <= 1, "between 0 and 1"),
+        ("seed", seed, False, _is_seed, "a whole number from 0 to 2^64 - 1"),
+        ("dimensions", dimensions, False, lambda v: v in (2, 3), "2 or 3"),
+        ("impulses", 1.0 if impulses is None else impulses, False, lambda v: 0 < v < np.inf, "greater than 0"),
+    ):
+        if paintable and callable(value):
+            continue
+        if not isinstance(value, Real) or not accepted(value):
+            hint = "give a number, or a function of (N, 3) places" if paintable else "give one number"
+            raise UsageError(f"{key} is {value!r}; it is {said}", hint=hint)
     points = np.stack(np.broadcast_arrays(*(np.asarray(c, np.float64) for c in (x, y, z))), axis=-1).reshape(-1, 3)
     periods = _bounds(period, points) if callable(period) else (float(period), float(period))
     noise = NOISES[name](
@@ -61,7 +74,7 @@ def sample(
         )  # fmt: skip
     if isinstance(noise, IsotropicGabor):
         if callable(period):
-            raise UsageError("period of gabor-isotropic is one number", hint="sample at one period at a time")
+            raise UsageError(f"period is {period!r}; that of {name} is one number", hint="sample one period at a time")
         return reference.isotropic_gabor(
             x, y, z, period=float(period), bandwidth=bandwidth, dimensions=dimensions, seed=seed,
             impulses=noise.impulses,
@@ -72,6 +85,10 @@ def sample(
     )  # fmt: skip
 
 
+def _is_seed(value: object) -> bool:
+    return isinstance(value, Integral) and 0 <= int(value) <= MAX_SEED
+
+
 def _bounds(period: object, points: Floats) -> tuple[float, float]:
     """The shortest and longest period in the points' box, with some room."""
     assert callable(period)
@@ -79,5 +96,5 @@ def _bounds(period: object, points: Floats) -> tuple[float, float]:
     axes = [np.linspace(a, b, SAMPLED if b > a else 1) for a, b in zip(low, high, strict=True)]
     seen = np.asarray(period(np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 3)))
     if not np.min(seen) > 0:
-        raise UsageError(f"period falls to {np.min(seen):.3g} mm; it is greater than 0")
+        raise UsageError(f"period falls to {np.min(seen):.3g} mm; it is greater than 0 mm", hint="clip the function")
     return float(np.min(seen)) / ROOM, float(np.max(seen)) * ROOM
