@@ -23,9 +23,8 @@ Pitch3 = tuple[float, float, float]
 SMOOTHING = 0.1  # periods: of the derivative, wide enough to see across a pixel's staircase
 WINDOW = 1.5  # periods: the structure tensor's Gaussian window
 BAND = (0.6, 1.4)  # carriers: where the period's power is looked for
-TAPER = (
-    0.25  # of each side falls to zero in a spectrum; a Hann window throws away so much that seeds scatter twice as far
-)
+# Of each side falls to zero in a spectrum; a Hann window throws away so much that seeds scatter twice as far.
+TAPER = 0.25
 
 
 def signed(labels: NDArray[np.uint8]) -> NDArray[np.float32]:

@@ -1,4 +1,4 @@
-"""Connected components of a graph; here rather than by SciPy, whose sparse graphs take 0.3 s to import."""
+"""Connected components of a graph, without SciPy, whose sparse graphs take long to import."""
 
 from __future__ import annotations
 

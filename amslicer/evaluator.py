@@ -124,6 +124,7 @@ class Evaluator:
 
     def field_per_pixel(self, first: int, count: int) -> tuple[Any, NDArray[np.uint32]]:
         """The same G of all tiles, whose nodes are pixels, with exponential, sine and cosine of each kernel at each."""
+        assert self._envelope is None, "only of Gaussians"
         tile, tiles = self._nodes, len(self.lists.tiles)
         out = self.device.scratch("field", 8 * count * tiles * tile**2)
         if tiles:

@@ -34,7 +34,7 @@ DECADES = 3.0  # of power that a spectrum shows
 def pictures(noise: str) -> Iterator[tuple[str, Picture | None]]:
     """The pictures of a noise, (PIXELS, PIXELS, 3) with row 0 at the top; None where there is no such thing.
 
-    Their names: real part, one per distinct profile, painted, spectrum.
+    The real part, two materials, three materials by each profile, painted fields, the spectrum of two.
     """
     g = sample(noise, *_plane(PERIODS), orientation=ORIENTATION, bandwidth=BANDWIDTH, seed=SEED)
     yield "value Re G", _grey(g.real)

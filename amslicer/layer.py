@@ -83,9 +83,3 @@ def _count_bits(rows: NDArray[np.uint8]) -> int:
     whole = flat.size // 8 * 8
     counts = [np.bitwise_count(part).sum(dtype=np.int64) for part in (flat[:whole].view(np.uint64), flat[whole:])]
     return int(sum(counts))
-
-
-def bitmaps_of(layer: Layer) -> Bitmaps:
-    """A layer's bitmaps."""
-    rows = np.stack([np.packbits(layer.labels == m, axis=1) for m in range(1, len(layer.materials) + 1)])
-    return Bitmaps(layer.index, layer.z_mm, layer.materials, layer.labels.shape[1], rows)

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from amslicer.spread import DIRECTIONS_MIX, along_side, directions
+from amslicer.spread import DIRECTIONS_MIX, NORMAL_DIGITS, SIDE_DIGITS, along_side, directions, limit_of
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
@@ -27,8 +27,7 @@ if TYPE_CHECKING:
 
 TERMS = 16  # of the series: what is beyond is added as if it were as coherent as the last two
 FEW_KERNELS = 1.05  # a dozen kernels per b^-d are not quite Gaussian
-LIMIT_SIGMAS, DEFECT = 4.5, 0.5  # as in amslicer/spread.py
-SIDE_DIGITS, NORMAL_DIGITS = 6, 2
+LIMIT_SIGMAS = 4.5  # chosen, half a standard deviation above that of phases
 
 
 def level_deviation(
@@ -67,11 +66,8 @@ def level_limit(
         low, high, bandwidth=bandwidth, dimensions=dimensions, window_periods=window_periods, filled=filled,
         isotropy=isotropy, normal=normal,
     )  # fmt: skip
-    sides = np.asarray(window_periods, np.float64)[..., : 2 if dimensions == 2 else 3]
-    defect = DEFECT / (np.asarray(filled, np.float64) * np.prod(np.maximum(sides, 1.0), axis=-1))
     share = np.asarray(high, np.float64) - np.asarray(low, np.float64)
-    limit = LIMIT_SIGMAS * np.hypot(sigma, np.asarray(pixels, np.float64)) + defect
-    return np.asarray(np.minimum(limit, np.maximum(share, 1 - share)))
+    return limit_of(LIMIT_SIGMAS * np.hypot(sigma, pixels), share, dimensions, window_periods, filled)
 
 
 def _coefficients(share: Floats) -> Floats:

@@ -12,7 +12,7 @@ from amslicer.evaluator import Evaluator
 from amslicer.generator import DeviceGenerator
 from amslicer.mask import all_solid
 from amslicer.noise import NOISES
-from amslicer.noise.alignment import Aligned
+from amslicer.noise.alignment import Alignment
 from amslicer.noise.kernels import Kernels, join_kernels
 from amslicer.profile import PROFILES, ROUNDING
 from amslicer.tiles import Tiling, all_tiles, choose_tiling
@@ -58,9 +58,9 @@ class Pattern:
         self.tiling = tiling
         self.lattice = lattice
         self.device = device
-        self.noise: Noise = make_noise(job, painted)
-        if job.spec.pattern.alignment:
-            self.noise = Aligned(self.noise, job.spec.pattern.alignment, painted.placement.size_mm)
+        self.noise = make_noise(job, painted)
+        sweeps = job.spec.pattern.alignment
+        self._alignment = Alignment(self.noise, sweeps, painted.placement.size_mm) if sweeps else None
         self.planar = job.spec.pattern.dimensions == 2
         self.profile = PROFILES[job.spec.pattern.profile]
         self.dithered = job.spec.pattern.edges == "dithered"
@@ -246,7 +246,10 @@ class Pattern:
         self._cell_layers = {number: kernels for number, kernels in self._cell_layers.items() if number in cell_layers}
         for number in cell_layers:
             if number not in self._cell_layers:
-                self._cell_layers[number] = self.noise.kernels(self._generator, number, *self._rectangle, self.painted)
+                kernels = self.noise.kernels(self._generator, number, *self._rectangle, self.painted)
+                if self._alignment:
+                    kernels = self._alignment.aligned(kernels, number, self._generator, self.painted)
+                self._cell_layers[number] = kernels
         near = []
         for number in cell_layers:
             kernels = self._cell_layers[number]

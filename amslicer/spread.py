@@ -127,11 +127,21 @@ def share_limit(
         low, high, profile=profile, bandwidth=bandwidth, dimensions=dimensions, window_periods=window_periods,
         filled=filled, isotropy=isotropy, normal=normal,
     )  # fmt: skip
+    share = np.asarray(high, np.float64) - np.asarray(low, np.float64)
+    return limit_of(LIMIT_SIGMAS * np.hypot(sigma, pixels), share, dimensions, window_periods, filled)
+
+
+def limit_of(chance: Floats, share: Floats, dimensions: int, window_periods: ArrayLike, filled: ArrayLike) -> Floats:
+    """What chance explains and a defect more, but no error that is not possible.
+
+    Args:
+        chance: some standard deviations.
+        share: of the material, asked.
+        dimensions, window_periods, filled: as in share_deviation.
+    """
     sides = np.asarray(window_periods, np.float64)[..., : 2 if dimensions == 2 else 3]
     defect = DEFECT / (np.asarray(filled, np.float64) * np.prod(np.maximum(sides, 1.0), axis=-1))
-    share = np.asarray(high, np.float64) - np.asarray(low, np.float64)
-    limit = LIMIT_SIGMAS * np.hypot(sigma, np.asarray(pixels, np.float64)) + defect
-    return np.asarray(np.minimum(limit, np.maximum(share, 1 - share)))
+    return np.asarray(np.minimum(chance + defect, np.maximum(share, 1 - share)))
 
 
 def pixel_deviation(

@@ -9,9 +9,14 @@ import pytest
 from PIL import Image
 
 from amslicer import Layer
-from amslicer.layer import bitmaps_of
+from amslicer.layer import Bitmaps
 from amslicer.writers import WRITERS
 from amslicer.writers.png import LEVELS, encode_png
+
+
+def bitmaps_of(layer: Layer) -> Bitmaps:
+    rows = np.stack([np.packbits(layer.labels == m, axis=1) for m in range(1, len(layer.materials) + 1)])
+    return Bitmaps(layer.index, layer.z_mm, layer.materials, layer.labels.shape[1], rows)
 
 
 @pytest.mark.parametrize("compression", LEVELS)

@@ -103,9 +103,8 @@ class ImageSampler:
         c0, c1, fx = self._neighbours((x, y, z)[self.axes[0]], 0)
         r0, r1, fy = self._neighbours((x, y, z)[self.axes[1]], 1)
         v = self.values
-        if (
-            c0.ndim == r0.ndim == 2 and c0.shape[0] == r0.shape[1] == 1
-        ):  # pixels of a raster: along the rows once per row of texels
+        raster = c0.ndim == r0.ndim == 2 and c0.shape[0] == r0.shape[1] == 1
+        if raster:  # along its rows once per row of texels
             rows, place = np.unique([r0[:, 0], r1[:, 0]], return_inverse=True)
             some = v[rows]
             across = some[:, c0[0]] + fx * (some[:, c1[0]] - some[:, c0[0]])

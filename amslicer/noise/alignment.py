@@ -16,7 +16,7 @@ periods of a place where lines make no arrows, only at one half).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -36,96 +36,60 @@ if TYPE_CHECKING:
     Complexes = NDArray[np.complex128]
 
 COARSE = 2  # levels before the finest, each with envelopes twice as wide
-LEAST = 0.1  # smaller overlaps count for nothing; 0.03 takes twice as long and leaves as many singularities
+LEAST = 0.1  # smaller overlaps count for nothing
 PAIRS_AT_ONCE = 1 << 20
 MAX_KERNELS = 1_000_000  # some 25 neighbours each in space: 1 GB
 # The low bits of a phase's random word choose the kernels of the coarse levels: they say nothing of the phase itself.
 CHOICE_BITS = 16
+BEYOND = 1e-6  # of a radius: drawn around the box, so that no rounding decides which kernels reach it
 
 
-@dataclass(frozen=True)
-class Aligned:
-    """A noise whose kernels are aligned all over a part's box, and then handed out like its own.
+class Alignment:
+    """The aligned phases of all kernels of a noise that reach a part's box; found when first asked for.
 
-    Attributes:
+    Args:
         noise: whose kernels they are.
         sweeps: at each level.
         size_mm: (3,) of the part's box. Kernels that do not reach it keep their phases.
     """
 
-    noise: Noise
-    sweeps: int
-    size_mm: Floats
-    _found: dict[CellLayer, Floats] = field(default_factory=dict)  # phases by layer of cells
+    def __init__(self, noise: Noise, sweeps: int, size_mm: Floats) -> None:
+        self._noise, self._sweeps, self._size_mm = noise, sweeps, size_mm
+        self._phases: dict[CellLayer, Floats] = {}
 
-    @property
-    def dimensions(self) -> int:
-        """2 or 3."""
-        return self.noise.dimensions
-
-    @property
-    def radius_mm(self) -> float:
-        """No kernel reaches further along an axis."""
-        return self.noise.radius_mm
-
-    @property
-    def density(self) -> float:
-        """The most kernels per mm^dimensions, where the period is shortest."""
-        return self.noise.density
-
-    @property
-    def impulses(self) -> float:
-        """Kernels per bandwidth^dimensions."""
-        return self.noise.impulses
-
-    @property
-    def reads(self) -> str:
-        """What materials follow from."""
-        return self.noise.reads
-
-    @property
-    def envelope(self) -> NDArray[np.float32] | None:
-        """As the noise's."""
-        return self.noise.envelope
-
-    def levels_of(self, cumulative: NDArray[Any]) -> Floats:
-        """As the noise's."""
-        return self.noise.levels_of(cumulative)
-
-    def cell_layers(self, low_z_mm: float, high_z_mm: float) -> list[CellLayer]:
-        """The layers of cells whose kernels can reach these heights."""
-        return self.noise.cell_layers(low_z_mm, high_z_mm)
-
-    def kernels(self, draw: Generator, cell_layer: CellLayer, low_mm: Floats, high_mm: Floats, paint: Paint) -> Kernels:
-        """The kernels of one layer of cells that reach a rectangle, in cell order, aligned.
+    def aligned(self, kernels: Kernels, cell_layer: CellLayer, draw: Generator, paint: Paint) -> Kernels:
+        """The kernels of one layer of cells, all those that reach the box among them, with their aligned phases.
 
         Raises:
             JobError: the part has too many kernels, or a painted field is not usable at one.
         """
-        if not self._found:
+        if not self._phases:
             self._align(draw, paint)
-        drawn = self.noise.kernels(draw, cell_layer, low_mm, high_mm, paint)
-        if cell_layer not in self._found:
-            return drawn
-        centre, radius = drawn.centre_mm[:, :2], drawn.radius_mm[:, None]
-        of_box = np.all((centre + radius > 0) & (centre - radius < self.size_mm[:2]), axis=1)
-        phase = drawn.phase.copy()
-        phase[of_box] = self._found[cell_layer]
-        return replace(drawn, phase=phase)
+        if cell_layer not in self._phases:
+            return kernels
+        phase = kernels.phase.copy()
+        phase[self._reach_box(kernels)] = self._phases[cell_layer]
+        return replace(kernels, phase=phase)
+
+    def _reach_box(self, kernels: Kernels) -> NDArray[np.bool_]:
+        centre, radius = kernels.centre_mm[:, :2], kernels.radius_mm[:, None]
+        return np.asarray(np.all((centre + radius > 0) & (centre - radius < self._size_mm[:2]), axis=1))
 
     def _align(self, draw: Generator, paint: Paint) -> None:
-        low, high = np.zeros(2), self.size_mm[:2]
-        numbers = self.noise.cell_layers(0.0, float(self.size_mm[2]))
-        layers = [self.noise.kernels(draw, number, low, high, paint) for number in numbers]
+        noise, beyond = self._noise, BEYOND * self._noise.radius_mm
+        low, high = np.zeros(2) - beyond, self._size_mm[:2] + beyond
+        numbers = noise.cell_layers(0.0, float(self._size_mm[2]))
+        layers = [noise.kernels(draw, number, low, high, paint) for number in numbers]
+        layers = [layer.take(self._reach_box(layer)) for layer in layers]
         together = join_kernels(layers)
         if len(together) > MAX_KERNELS:
             raise JobError(
                 f"pattern.alignment: the part has {len(together)} kernels; at most {MAX_KERNELS} are aligned",
                 hint="use a larger period or alignment: 0",
             )
-        phase = aligned_phases(together, self.sweeps, self.dimensions)
+        phase = aligned_phases(together, self._sweeps, noise.dimensions)
         ends = np.cumsum([len(layer) for layer in layers])[:-1]
-        self._found.update(zip(numbers, np.split(phase, ends), strict=True))
+        self._phases.update(zip(numbers, np.split(phase, ends), strict=True))
 
 
 def aligned_phases(kernels: Kernels, sweeps: int, dimensions: int) -> Floats:

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from math import erf, exp, pi, sqrt
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
@@ -52,8 +53,6 @@ class Gabor(Phasor):
     @property
     def kurtosis(self) -> float:
         """κ, excess, of Re G."""
-        from math import erf, exp, pi, sqrt
-
         beta = self.cells(0).side_mm * self.bandwidth / self.periods_mm[0]
         even = (erf(sqrt(pi) * beta) / beta - (1 - exp(-pi * beta**2)) / (pi * beta**2)) ** self.dimensions
         return 1.5 / self.impulses * (1 - 2 * even)
@@ -70,13 +69,16 @@ class Gabor(Phasor):
 
 
 @dataclass(frozen=True)
-class IsotropicGabor(Gabor):
+class IsotropicGabor(Phasor):
     """Gabor noise of kernels without a direction (Lagae et al. 2011, section III); attributes as of Phasor.
 
     With F = 1/p the kernels are exp(-π b² r²) J₀(2πF r) in the plane and exp(-π b² r²) sin(2πF r)/(2πF r) in space: the
-    mean of a Gabor kernel over all directions. The painted direction and isotropy mean nothing to them.
+    mean of a Gabor kernel over all directions. The painted direction and isotropy mean nothing to them. Where the
+    period steps, F follows the envelope's period (amslicer/envelope.py).
     """
 
+    impulses: float = DEFAULT_IMPULSES
+    reads: ClassVar[str] = "value"
     directed: ClassVar[bool] = False
 
     @property
@@ -132,7 +134,7 @@ class IsotropicGabor(Gabor):
         return values, np.clip(0.5 - integral / np.pi, 0.0, 1.0)
 
     def kernels(self, draw: Generator, cell_layer: CellLayer, low_mm: Floats, high_mm: Floats, paint: Paint) -> Kernels:
-        """As Gabor's, without waves."""
+        """As phasor noise's, without waves."""
         found = super().kernels(draw, cell_layer, low_mm, high_mm, paint)
         return replace(found, wave=np.zeros_like(found.wave))
 

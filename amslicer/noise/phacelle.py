@@ -20,14 +20,13 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from amslicer.noise.kernels import Cells, Kernels
+from amslicer.noise.kernels import Cells
 from amslicer.noise.phasor import Phasor
-from amslicer.noise.turn import turned
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from amslicer.noise.kernels import CellLayer, Generator, Paint
+    from amslicer.noise.kernels import CellLayer, Generator, Kernels, Paint
 
     Floats = NDArray[np.float64]
 
@@ -80,16 +79,5 @@ class Phacelle(Phasor):
             draw, self.seed, cell_layer[1], low_mm - reach, high_mm + reach, thinned=False
         )
         period = np.clip(paint.periods(place), *self.periods_mm)
-        normal = paint.normals(place)
-        width = np.full(len(place), sqrt(CELL_SQUARED) / self.side_mm)
-        direction = normal
-        if not paint.is_laminate:
-            direction = turned(normal, paint.isotropies(place), place, width, self.dimensions, self.seed, draw)
-        return Kernels(
-            centre_mm=place,
-            wave=direction * (2 * np.pi / period)[:, None],
-            phase=phase,
-            decay=np.pi * width**2,
-            radius_mm=np.full(len(place), reach),
-            normal=normal,
-        )
+        width, radius = (np.full(len(place), v) for v in (sqrt(CELL_SQUARED) / self.side_mm, reach))
+        return self._painted(draw, paint, place, phase, period, width, radius)

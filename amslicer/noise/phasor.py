@@ -113,8 +113,13 @@ class Phasor:
         taken &= choice < (shortest * 2**level / envelope) ** self.dimensions
         taken &= np.all((place[:, :2] + radius[:, None] > low_mm) & (place[:, :2] - radius[:, None] < high_mm), axis=1)
         place, phase, period, envelope, radius = (a[taken] for a in (place, phase, period, envelope, radius))
+        return self._painted(draw, paint, place, phase, period, self.bandwidth / envelope, radius)
+
+    def _painted(
+        self, draw: Generator, paint: Paint, place: Floats, phase: Floats, period: Floats, width: Floats, radius: Floats
+    ) -> Kernels:
+        """Kernels at places, with the direction painted there, turned as isotropy says."""
         normal = paint.normals(place)
-        width = self.bandwidth / envelope
         direction = normal
         if not paint.is_laminate:
             direction = turned(normal, paint.isotropies(place), place, width, self.dimensions, self.seed, draw)

@@ -140,83 +140,64 @@ def stages(part: str) -> dict[str, Any]:
     return {"masks_s": masks, "kernels_s": spent, "all_s": time.perf_counter() - started, "solid": solid}
 
 
-def forms(dimensions: str) -> dict[str, Any]:
-    """G and material of a 20 × 20 mm block: each pixel by itself, rank-1 sums at each pixel, and the lattice."""
+def block_of(device: Device, noise: str, dimensions: int, evaluate: str) -> tuple[Any, Any, float]:
+    """A 20 × 20 mm block's pattern on a device, what prepares it, and Mpx/s of its second block of layers' bitmaps."""
     import trimesh
 
     with tempfile.TemporaryDirectory() as folder:
         part = Path(folder) / "block.stl"
         trimesh.creation.box((20, 20, 4)).export(part)
-        result: dict[str, Any] = {}
-        for evaluate in ("exact", "lattice"):
-            content = {
-                "printer": "generic-600dpi", "materials": ["a", "b"],
-                "pattern": {"dimensions": int(dimensions), "evaluate": evaluate},
-                "fields": {"ratio": 0.3, "orientation": 30},
-            }  # fmt: skip
-            prepared = prepare(amslicer.load_job(content, part))
-            with Device() as device:
-                pattern = prepared.pattern(device)
-                tiling, grid = prepared.tiling, prepared.grid
-                runs = prepared.slicer.runs(tiling.layers, 2 * tiling.layers)
-                pixels = int(runs.pixels.sum())
+        content = {
+            "printer": "generic-600dpi", "materials": ["a", "b"],
+            "pattern": {"noise": noise, "dimensions": dimensions, "evaluate": evaluate},
+            "fields": {"ratio": 0.3, "orientation": 30},
+        }  # fmt: skip
+        prepared = prepare(amslicer.load_job(content, part))
+    pattern, layers = prepared.pattern(device), prepared.tiling.layers
+    runs = prepared.slicer.runs(layers, 2 * layers)
 
-                def make(pattern: Any = pattern, runs: Any = runs, tiling: Any = tiling) -> None:
-                    pattern._planar_field = pattern._planar_labels = None
-                    pattern.block(runs, tiling.layers).deposits(tiling.layers, 2 * tiling.layers)
+    def make() -> None:
+        pattern._planar_field = pattern._planar_labels = None
+        pattern.block(runs, layers).deposits(layers, 2 * layers)
 
-                result[evaluate] = pixels / repeat(make) / 1e6
-                if evaluate == "exact":
-                    from amslicer.tiles import all_tiles
+    return pattern, prepared, int(runs.pixels.sum()) / repeat(make) / 1e6
 
-                    rows, columns = tiling.over(grid)
-                    layers = tiling.layers if dimensions == "3" else 1
-                    evaluator = pattern.evaluator(tiling, 1, all_tiles((0, 0), (columns, rows)))
-                    nodes = evaluator.floats_per_plane // 2 * layers
-                    evaluations = len(evaluator.lists.entries) * tiling.nodes[0].count ** 2 * layers
-                    result["kernels_per_pixel"] = evaluations / nodes
-                    vectors = vector_form(device, evaluator)
-                    for name, call, count in (
-                        ("rank1", evaluator.field, layers), ("per_pixel", evaluator.field_per_pixel, 1),
-                        ("per_pixel_vector", vectors, 1),
-                    ):  # fmt: skip
-                        seconds = repeat(lambda c=call, n=count, d=device: (c(0, n), d.queue.finish())) * layers / count
-                        result[name] = {"mpx_s": nodes / seconds / 1e6, "g_s": evaluations / seconds / 1e9}
+
+def evaluator_of(pattern: Any, prepared: Any) -> Any:
+    """Of all tiles of the second block of layers."""
+    from amslicer.tiles import all_tiles
+
+    rows, columns = prepared.tiling.over(prepared.grid)
+    return pattern.evaluator(prepared.tiling, 1, all_tiles((0, 0), (columns, rows)))
+
+
+def forms(dimensions: str) -> dict[str, Any]:
+    """G and material of a 20 × 20 mm block: each pixel by itself, rank-1 sums at each pixel, and the lattice."""
+    result: dict[str, Any] = {}
+    with Device() as device:
+        _, _, result["lattice"] = block_of(device, "phasor", int(dimensions), "lattice")
+        pattern, prepared, result["exact"] = block_of(device, "phasor", int(dimensions), "exact")
+        layers = prepared.tiling.layers if dimensions == "3" else 1
+        evaluator = evaluator_of(pattern, prepared)
+        nodes = evaluator.floats_per_plane // 2 * layers
+        evaluations = len(evaluator.lists.entries) * prepared.tiling.nodes[0].count ** 2 * layers
+        result["kernels_per_pixel"] = evaluations / nodes
+        for name, call, count in (
+            ("rank1", evaluator.field, layers), ("per_pixel", evaluator.field_per_pixel, 1),
+            ("per_pixel_vector", vector_form(device, evaluator), 1),
+        ):  # fmt: skip
+            seconds = repeat(lambda c=call, n=count: (c(0, n), device.queue.finish())) * layers / count
+            result[name] = {"mpx_s": nodes / seconds / 1e6, "g_s": evaluations / seconds / 1e9}
     return result
 
 
 def noise(name: str, dimensions: str) -> dict[str, Any]:
     """Bitmaps of a 20 × 20 mm block of a noise, Mpx/s at each pixel and on the lattice; kernels that reach a tile."""
-    import trimesh
-
-    with tempfile.TemporaryDirectory() as folder:
-        part = Path(folder) / "block.stl"
-        trimesh.creation.box((20, 20, 4)).export(part)
-        result: dict[str, Any] = {}
-        for evaluate in ("exact", "lattice"):
-            content = {
-                "printer": "generic-600dpi", "materials": ["a", "b"],
-                "pattern": {"noise": name, "dimensions": int(dimensions), "evaluate": evaluate},
-                "fields": {"ratio": 0.3, "orientation": 30},
-            }  # fmt: skip
-            prepared = prepare(amslicer.load_job(content, part))
-            tiling = prepared.tiling
-            with Device() as device:
-                pattern = prepared.pattern(device)
-                runs = prepared.slicer.runs(tiling.layers, 2 * tiling.layers)
-
-                def make(pattern: Any = pattern, runs: Any = runs, tiling: Any = tiling) -> None:
-                    pattern._planar_field = pattern._planar_labels = None
-                    pattern.block(runs, tiling.layers).deposits(tiling.layers, 2 * tiling.layers)
-
-                result[evaluate] = int(runs.pixels.sum()) / repeat(make, 3) / 1e6
-                if evaluate == "exact":
-                    from amslicer.tiles import all_tiles
-
-                    rows, columns = tiling.over(prepared.grid)
-                    evaluator = pattern.evaluator(tiling, 1, all_tiles((0, 0), (columns, rows)))
-                    result["kernels"] = len(evaluator.lists.entries) / len(evaluator.lists.tiles)
-    return result
+    with Device() as device:
+        _, _, lattice = block_of(device, name, int(dimensions), "lattice")
+        pattern, prepared, exact = block_of(device, name, int(dimensions), "exact")
+        lists = evaluator_of(pattern, prepared).lists
+        return {"exact": exact, "lattice": lattice, "kernels": len(lists.entries) / len(lists.tiles)}
 
 
 def vector_form(device: Device, evaluator: Any) -> Callable[[int, int], Any]:
