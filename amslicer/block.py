@@ -135,8 +135,8 @@ class Block:
             for layer, some_layers, thresholds in graded:
                 device.kernel("profile", self._macros(tile))(
                     device.queue, (tile, len(some), some_layers), (tile, 1, 1), out, field, solid, thresholds,
-                    *buffers, *self._materials(), field_tiles, np.uint32(layers), np.uint32(layer), waves,
-                    *self._edges(first + layer),
+                    *pattern.ranks, *buffers, *self._materials(), field_tiles, np.uint32(layers), np.uint32(layer),
+                    waves, *self._edges(first + layer),
                 )  # fmt: skip
 
     def _from_lattice(self, out: Any, solid: Any, first: int, end: int) -> None:
@@ -158,7 +158,7 @@ class Block:
                 "ROW_GROUPS": ROW_GROUPS}  # fmt: skip
         for layer, count, thresholds in pattern.threshold_buffers(first, end - first):
             device.kernel("interpolate", {**self._macros(lattice.tiling.nodes[0].count), **taps})(
-                device.queue, (count, len(tiles)), (1, 1), out, field, solid, thresholds, *buffers,
+                device.queue, (count, len(tiles)), (1, 1), out, field, solid, thresholds, *pattern.ranks, *buffers,
                 *self._materials(), np.uint32(field_tiles), needed, np.uint32(end - first), np.uint32(layer), waves,
                 *self._edges(first + layer), np.array(lattice.tiling.pixels, np.int32), np.uint32(first_plane),
                 np.uint32(self._in_block + first + layer - self._first), *pattern.taps(),
@@ -176,11 +176,7 @@ class Block:
         return self._slab
 
     def _macros(self, nodes: int) -> dict[str, int]:
-        pattern = self._pattern
-        return {
-            **work_shape(self._device, nodes), "CYCLIC": pattern.profile.cyclic, "DITHERED": pattern.dithered,
-            "VALUE": pattern.noise.reads == "value",
-        }  # fmt: skip
+        return {**work_shape(self._device, nodes), **self._pattern.profile_macros()}
 
     def _materials(self) -> tuple[Any, Any]:
         return np.uint32(len(self._pattern.painted.materials) - 1), np.array(self._pattern.padded[::-1], np.uint32)

@@ -12,7 +12,7 @@ import numpy as np
 
 from amslicer.noise import NOISES, sample
 from amslicer.pictures import BACKGROUND, GAP, INK, TEXT_HEIGHT
-from amslicer.profile import PROFILES
+from amslicer.profiles import PROFILES
 from amslicer.reference import cyclic_labels, symmetric_labels
 from amslicer.specification import DEFAULT_COLORS
 
@@ -40,7 +40,7 @@ def pictures(noise: str) -> Iterator[tuple[str, Picture | None]]:
     yield "value Re G", _grey(g.real)
     yield "pwm, 30 %", _colored(_labels(noise, g, TWO, "pwm"))
     for profile in ("symmetric", "cyclic"):
-        built = NOISES[noise].reads == "phase" or not PROFILES[profile].cyclic
+        built = NOISES[noise].reads == "phase" or not PROFILES[profile].arrows
         yield f"{profile}, three materials", _colored(_labels(noise, g, THREE, profile)) if built else None
     # Around the middle; ratio from 0.1 at the left to 0.9, isotropy from 0 below to 1.
     x, y = _plane(PERIODS)
@@ -95,7 +95,7 @@ def _labels(noise: str, g: Complexes, cumulative: tuple[float | Floats, ...], pr
         made = maker(periods_mm=(1.0, 1.0), bandwidth=BANDWIDTH, dimensions=2, seed=SEED)
         levels = [made.levels_of(np.asarray(c)) for c in cumulative]
         return np.asarray(1 + sum((g.real <= level).astype(np.uint8) for level in levels), np.uint8)
-    label = cyclic_labels if PROFILES[profile].cyclic else symmetric_labels
+    label = cyclic_labels if PROFILES[profile].arrows else symmetric_labels
     return label(g, np.stack([np.broadcast_to(np.asarray(c, np.float64), g.shape) for c in cumulative]))
 
 

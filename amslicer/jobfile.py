@@ -153,7 +153,7 @@ def _explain(error: ValidationError, content: dict[str, Any], origin: Origin) ->
         return origin.error(path, f"the key '{missing}' is missing", "`amslicer init` writes an example")
     text = first["msg"].removeprefix("Value error, ")
     text = text[0].lower() + text[1:]
-    if first["type"] == "field_source":
+    if first["type"] in ("field_source", "profile", "waveform"):
         problem = f"{key}: {_shown(found)} {text}"
     elif first["type"] == "value_error":  # our own sentences have the value in them
         problem = f"{key}: {text}"
@@ -238,12 +238,10 @@ def _refuse_many_materials(spec: JobFile, origin: Origin) -> None:
 def _refuse_unbuilt(spec: JobFile, origin: Origin) -> None:
     """Keys of the language that this version accepts only at their defaults."""
     from amslicer.noise import NOISES
-    from amslicer.profile import PROFILES
 
     pattern = spec.pattern
     refusals: tuple[tuple[bool, KeyPath, str, str], ...] = (
         (pattern.noise not in NOISES, ("pattern", "noise"), f"'{pattern.noise}'", ", ".join(NOISES)),
-        (pattern.profile not in PROFILES, ("pattern", "profile"), f"'{pattern.profile}'", ", ".join(PROFILES)),
     )
     for refused, path, what, built in refusals:
         if refused:
@@ -254,6 +252,7 @@ def _refuse_unbuilt(spec: JobFile, origin: Origin) -> None:
 def _refuse_contradictions(spec: JobFile, origin: Origin) -> None:
     """What no single key is to blame for."""
     from amslicer.noise import NOISES
+    from amslicer.profiles import make_profile
     from amslicer.specification import AzimuthElevation, VectorComponents
 
     pattern, fields = spec.pattern, spec.fields
@@ -264,13 +263,16 @@ def _refuse_contradictions(spec: JobFile, origin: Origin) -> None:
             "leave it out",
         )
     if NOISES[pattern.noise].reads == "value":
-        for key, default in (("profile", ("pwm", "symmetric")), ("alignment", (0,))):
-            value = getattr(pattern, key)
-            if value not in default:
+        needs: tuple[tuple[str, bool, Any, Any], ...] = (
+            ("profile", make_profile(pattern.profile).arrows, _profile_name(pattern.profile), "pwm"),
+            ("alignment", pattern.alignment > 0, pattern.alignment, 0),
+        )
+        for key, refused, value, default in needs:
+            if refused:
                 raise origin.error(
                     ("pattern", key),
                     f"pattern.{key}: {value} needs a phase, but {pattern.noise} noise is read by its values",
-                    f"use {key}: {default[0]}, or noise: phasor",
+                    f"use {key}: {default}, or noise: phasor",
                 )
     if isinstance(pattern.period, float) and pattern.period <= 0:
         raise origin.error(
@@ -293,6 +295,10 @@ def _refuse_contradictions(spec: JobFile, origin: Origin) -> None:
             "fields.orientation.vector: has a z component, but pattern.dimensions is 2: the same in every layer",
             "set pattern.dimensions to 3, or the third component to 0",
         )
+
+
+def _profile_name(profile: Any) -> str:
+    return profile if isinstance(profile, str) else f"this {next(iter(type(profile).model_fields))}"
 
 
 def _refuse_ratios(spec: JobFile, origin: Origin) -> None:

@@ -23,6 +23,8 @@ from amslicer.spread import DIRECTIONS_MIX, NORMAL_DIGITS, SIDE_DIGITS, along_si
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
+    from amslicer.profiles import Profile
+
     Floats = NDArray[np.float64]
 
 TERMS = 16  # of the series: what is beyond is added as if it were as coherent as the last two
@@ -31,7 +33,7 @@ LIMIT_SIGMAS = 4.5  # chosen, half a standard deviation above that of phases
 
 
 def level_deviation(
-    low: ArrayLike, high: ArrayLike, *, bandwidth: float, dimensions: int, window_periods: ArrayLike,
+    low: ArrayLike, high: ArrayLike, *, profile: Profile, bandwidth: float, dimensions: int, window_periods: ArrayLike,
     filled: ArrayLike = 1.0, isotropy: ArrayLike = 0.0, normal: ArrayLike | None = None,
 ) -> Floats:  # fmt: skip
     """Standard deviation of a material's share of a box window.
@@ -41,7 +43,7 @@ def level_deviation(
     low, high, filled, isotropy = (np.asarray(v, np.float64) for v in (low, high, filled, isotropy))
     sides = np.asarray(window_periods, np.float64)[..., : 2 if dimensions == 2 else 3]
     most = (high - low) * (1 - (high - low))
-    power = (_coefficients(high) - _coefficients(low)) ** 2
+    power = np.max(profile.over_values(_coefficients, low, high) ** 2, axis=0)
     mean = np.zeros((*sides.shape[:-1], TERMS))
     mix = np.ones(1) if normal is None else np.minimum(1.0, DIRECTIONS_MIX * isotropy)[..., None]
     if np.any(mix > 0):
@@ -58,13 +60,14 @@ def level_deviation(
 
 
 def level_limit(
-    low: ArrayLike, high: ArrayLike, *, pixels: ArrayLike = 0.0, bandwidth: float, dimensions: int,
-    window_periods: ArrayLike, filled: ArrayLike = 1.0, isotropy: ArrayLike = 0.0, normal: ArrayLike | None = None,
+    low: ArrayLike, high: ArrayLike, *, profile: Profile, pixels: ArrayLike = 0.0, bandwidth: float,
+    dimensions: int, window_periods: ArrayLike, filled: ArrayLike = 1.0, isotropy: ArrayLike = 0.0,
+    normal: ArrayLike | None = None,
 ) -> Floats:  # fmt: skip
     """How far an honest window's share may be from the ratio. Args: as of spread.share_limit."""
     sigma = level_deviation(
-        low, high, bandwidth=bandwidth, dimensions=dimensions, window_periods=window_periods, filled=filled,
-        isotropy=isotropy, normal=normal,
+        low, high, profile=profile, bandwidth=bandwidth, dimensions=dimensions, window_periods=window_periods,
+        filled=filled, isotropy=isotropy, normal=normal,
     )  # fmt: skip
     share = np.asarray(high, np.float64) - np.asarray(low, np.float64)
     return limit_of(LIMIT_SIGMAS * np.hypot(sigma, pixels), share, dimensions, window_periods, filled)

@@ -14,10 +14,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from amslicer.spread import ALIGNED_SHARE, FEW_KERNELS, amplitudes, harmonic_variance
+from amslicer.spread import ALIGNED_SHARE, FEW_KERNELS, harmonic_variance
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
+
+    from amslicer.profiles import Profile
 
     Floats = NDArray[np.float64]
 
@@ -34,14 +36,13 @@ WAVE_OFF, CYCLES_OFF = 0.56, 0.5
 
 
 def locking_error(
-    cumulative: ArrayLike, *, profile: str, cycles_per_pixel: ArrayLike, extents_px: ArrayLike,
+    cumulative: ArrayLike, *, profile: Profile, cycles_per_pixel: ArrayLike, extents_px: ArrayLike,
     width_per_pixel: ArrayLike, aligned: bool = False,
 ) -> Floats:  # fmt: skip
     """The worst plausible error of each material's ratio over a part from pixel locking.
 
     Args:
         cumulative: (M - 1,) cumulative ratios c1 … c(M-1) of M materials, each 0…1.
-        profile: symmetric (= pwm) or cyclic.
         cycles_per_pixel: (2,) for a pattern that is the same in every layer, else (3,): n_i·pitch_i/p.
         extents_px: (2,) or (3,) pixels (and layers) across the part's bounding box; a part that fills it badly locks
             more.
@@ -61,7 +62,7 @@ def locking_error(
 
 
 def locked_deviation(
-    low: ArrayLike, high: ArrayLike, *, profile: str, cycles_per_pixel: ArrayLike, extents_px: ArrayLike,
+    low: ArrayLike, high: ArrayLike, *, profile: Profile, cycles_per_pixel: ArrayLike, extents_px: ArrayLike,
     width_per_pixel: ArrayLike,
 ) -> Floats:  # fmt: skip
     """Standard deviation that point-sampling by pixels adds to a material's share of box windows, in step or not.
@@ -72,7 +73,7 @@ def locked_deviation(
     Args:
         low, high: the material's cumulative ratios c(m-1) and c(m); all arrays broadcast.
         cycles_per_pixel, extents_px: (..., 2) or (..., 3), as in locking_error, of the windows.
-        profile, width_per_pixel: as in locking_error.
+        width_per_pixel: as in locking_error.
     """
     cycles = np.asarray(cycles_per_pixel, np.float64)
     amplitude, variance = _locked(low, high, profile, cycles, extents_px, width_per_pixel, 0.0, WINDOW_HARMONICS)
@@ -80,7 +81,7 @@ def locked_deviation(
 
 
 def _locked(
-    low: ArrayLike, high: ArrayLike, profile: str, cycles: Floats, extents_px: ArrayLike, width: ArrayLike,
+    low: ArrayLike, high: ArrayLike, profile: Profile, cycles: Floats, extents_px: ArrayLike, width: ArrayLike,
     off: Floats | float, harmonics: int,
 ) -> tuple[Floats, Floats]:  # fmt: skip
     """(..., harmonics) a_h and V_h of the harmonics that sampling moves; V_h = 0 for the others.
@@ -95,5 +96,5 @@ def _locked(
         seen = np.maximum(np.abs(h * cycles - moved) - h * np.asarray(off), 0.0)
         v = harmonic_variance(h, extents_px, seen, width) if np.any(aliased) else 0.0
         variance.append(np.where(aliased, FEW_KERNELS**2 * np.asarray(v), 0.0))
-    amplitude = amplitudes(low, high, profile, harmonics)
+    amplitude = profile.amplitudes(low, high, harmonics)
     return amplitude, np.minimum(np.stack(variance, axis=-1), 1.0)

@@ -133,6 +133,7 @@ def locking_notes(prepared: Prepared) -> Iterator[str]:
     from amslicer.arrows import sample_places
     from amslicer.locking import locking_error
     from amslicer.noise import NOISES
+    from amslicer.profiles import make_profile
 
     spec, grid, painted = prepared.job.spec, prepared.grid, prepared.painted
     shortest, longest = painted.period_bounds_mm
@@ -153,7 +154,7 @@ def locking_notes(prepared: Prepared) -> Iterator[str]:
         pitch_mm=(float(size[0]) / COARSE_PX, float(size[1]) / COARSE_PX),
     )  # fmt: skip
     errors = locking_error(
-        painted.ratio_map(coarse, 0).mean(axis=(1, 2)), profile=spec.pattern.profile,
+        painted.ratio_map(coarse, 0).mean(axis=(1, 2)), profile=make_profile(spec.pattern.profile),
         cycles_per_pixel=normals[0, :axes] * pitch / shortest,
         extents_px=np.array([grid.columns, grid.rows, grid.layers])[:axes],
         width_per_pixel=spec.pattern.bandwidth * pitch / shortest, aligned=spec.pattern.alignment > 0,

@@ -12,6 +12,7 @@ import numpy as np
 from amslicer.errors import JobError
 from amslicer.fields import Frame, Sampler, open_field
 from amslicer.fields.orientation import Angles, Orientation, Vector
+from amslicer.profiles.waveforms import BlendShape
 from amslicer.specification import REST, AzimuthElevation, VectorComponents
 
 if TYPE_CHECKING:
@@ -39,6 +40,7 @@ class Painted:
         orientation: the laminate's normal.
         isotropy: 0 laminate … 1 isotropic.
         period: mm.
+        blend: of the profile's two waveforms, 0…1; None where there is nothing to blend.
         mid_height_mm: where a 2D pattern's kernels sample the fields.
     """
 
@@ -50,6 +52,7 @@ class Painted:
     placement: Placement
     mid_height_mm: float
     dimensions: int
+    blend: Sampler | None = None
 
     def normals(self, points_mm: Floats) -> Floats:
         """(N, 3) unit normals at (N, 3) points; flat in 2D, at mid-height."""
@@ -106,6 +109,12 @@ class Painted:
         """Whether any material's share changes from layer to layer."""
         return any(self.placement.depends_on_z(ratio.varies) for ratio in self.ratios if ratio is not None)
 
+    @property
+    def materials_depend_on_z(self) -> bool:
+        """Whether the ratio or the blend of profiles changes from layer to layer."""
+        blended = self.blend is not None and self.placement.depends_on_z(self.blend.varies)
+        return blended or self.ratio_depends_on_z
+
     def share_bounds(self) -> list[tuple[float, float]]:
         """Per material, bounds of its painted share; those of the rest follow from the others."""
         given = [ratio.bounds for ratio in self.ratios if ratio is not None]
@@ -113,11 +122,14 @@ class Painted:
         return [rest if ratio is None else ratio.bounds for ratio in self.ratios]
 
     def check_ratio(self, grid: Grid) -> None:
-        """Looks for painted ratios that are none in a few layers, before anything is written.
+        """Looks for painted ratios and blends that are none in a few layers, before anything is written.
 
         Raises:
             JobError: as ratio_map does.
         """
+        if self.blend is not None and not (self.blend.bounds[0] >= -ROUNDING and self.blend.bounds[1] <= 1 + ROUNDING):
+            for layer in {0, grid.layers // 2, grid.layers - 1} if self.materials_depend_on_z else {0}:
+                self.blend_map(grid, layer)
         surely = all(low >= -ROUNDING and high <= 1 + ROUNDING for low, high in self.share_bounds())
         if not surely or None not in self.ratios:
             for layer in {0, grid.layers // 2, grid.layers - 1} if self.ratio_depends_on_z else {0}:
@@ -146,6 +158,31 @@ class Painted:
                 if m:
                     np.maximum(rows[m - 1], rows[m], out=rows[m])
         return out
+
+    def blend_map(self, grid: Grid, layer: int) -> NDArray[np.float32]:
+        """(rows, columns) from the profile's first waveform to its second, 0…1, at the pixel centres of a layer.
+
+        Raises:
+            JobError: it leaves 0…1; the message says where and how much.
+        """
+        assert self.blend is not None
+        x, z = grid.x_mm()[None, :], np.asarray(grid.z_mm(layer))
+        out = np.empty((grid.rows, grid.columns), np.float32)
+        for first in range(0, grid.rows, RATIO_ROWS):
+            y = grid.y_mm()[first : first + RATIO_ROWS, None]
+            coordinates = self.placement.to_field(x, y, z)
+            values = np.broadcast_to(self.blend.scalar(*coordinates), (len(y), grid.columns))
+            wrong = ~((values >= -ROUNDING) & (values <= 1 + ROUNDING))
+            if wrong.any():
+                raise _out_of_range("pattern.profile.blend.by", *self._first(wrong, values, coordinates), "a blend")
+            out[first : first + RATIO_ROWS] = np.clip(values, 0.0, 1.0)
+        return out
+
+    def blends(self, points_mm: Floats) -> Floats:
+        """(N,) the blend at (N, 3) points; 0 where there is none."""
+        if self.blend is None:
+            return np.zeros(len(points_mm))
+        return np.clip(np.broadcast_to(self.blend.scalar(*self._coordinates(points_mm)), (len(points_mm),)), 0.0, 1.0)
 
     def _check_shares(
         self, values: list[Floats | None], coordinates: tuple[Floats, Floats, Floats], shape: tuple[int, int]
@@ -254,6 +291,9 @@ def open_fields(job: Job, placement: Placement, file_size_mm: Floats) -> Painted
         placement=placement,
         mid_height_mm=float(placement.size_mm[2]) / 2,
         dimensions=pattern.dimensions,
+        blend=open_field(pattern.profile.blend.by, frame, job.inputs)
+        if isinstance(pattern.profile, BlendShape)
+        else None,
     )
 
 

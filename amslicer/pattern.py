@@ -14,7 +14,7 @@ from amslicer.mask import all_solid
 from amslicer.noise import NOISES
 from amslicer.noise.alignment import Alignment
 from amslicer.noise.kernels import Kernels, join_kernels
-from amslicer.profile import PROFILES, ROUNDING
+from amslicer.profiles import ROUNDING, make_profile
 from amslicer.tiles import Tiling, all_tiles, choose_tiling
 
 if TYPE_CHECKING:
@@ -62,7 +62,9 @@ class Pattern:
         sweeps = job.spec.pattern.alignment
         self._alignment = Alignment(self.noise, sweeps, painted.placement.size_mm) if sweeps else None
         self.planar = job.spec.pattern.dimensions == 2
-        self.profile = PROFILES[job.spec.pattern.profile]
+        self.profile = make_profile(job.spec.pattern.profile)
+        self._rank_table = self.profile.rank_table(self.noise)
+        self._ranks: Any = None
         self.dithered = job.spec.pattern.edges == "dithered"
         self.seed = np.array([job.spec.pattern.seed & 0xFFFFFFFF, job.spec.pattern.seed >> 32], np.uint32)
         down, across = tiling.over(grid)
@@ -160,7 +162,7 @@ class Pattern:
     @property
     def same_in_all_layers(self) -> bool:
         """Whether a pixel has the same material in every layer where it is solid."""
-        return self.planar and not self.painted.ratio_depends_on_z
+        return self.planar and not self.painted.materials_depend_on_z
 
     def planar_labels(self) -> Any:
         """Bitmaps of a pattern that is the same in all layers, made once, as a device buffer."""
@@ -262,8 +264,8 @@ class Pattern:
         return join_kernels(near)
 
     def threshold_buffers(self, first: int, count: int) -> Iterator[tuple[int, int, Any]]:
-        """For runs of layers with the same painted ratio: (number of the first, how many, thresholds)."""
-        if not self.painted.ratio_depends_on_z:
+        """For runs of layers with the same painted ratio and blend: (number of the first, how many, thresholds)."""
+        if not self.painted.materials_depend_on_z:
             if self._thresholds is None:
                 self._thresholds = self._threshold_buffer(first)
             yield 0, count, self._thresholds
@@ -279,7 +281,32 @@ class Pattern:
 
     def _threshold_buffer(self, layer: int) -> Any:
         ratio = self.ratio(layer)
-        padded = np.zeros((len(ratio), *self.padded), np.float32)
-        thresholds = self.profile.thresholds if self.noise.reads == "phase" else self._levels
-        padded[:, : self.grid.rows, : self.grid.columns] = thresholds(ratio)
+        padded = np.zeros((len(ratio) + self.blended, *self.padded), np.float32)
+        by_level = self.noise.reads == "value" and self._rank_table is None
+        inner = padded[:, : self.grid.rows, : self.grid.columns]
+        inner[: len(ratio)] = (self._levels if by_level else self.profile.thresholds)(ratio)
+        if self.blended:
+            assert self._rank_table is not None
+            inner[-1] = np.rint(self.painted.blend_map(self.grid, layer) * (len(self._rank_table.ranks) - 1))
         return self.device.buffer(padded)
+
+    @property
+    def blended(self) -> bool:
+        """Whether a painted field says how the profile is blended."""
+        return self.painted.blend is not None
+
+    @property
+    def ranks(self) -> tuple[Any, np.float32]:
+        """What profiles of waveforms look up, as the device takes it: the table, and how far values go."""
+        if self._ranks is None:
+            table = self._rank_table
+            self._ranks = self.device.buffer(np.zeros((1, 1), np.float32) if table is None else table.ranks)
+        return self._ranks, np.float32(1.0 if self._rank_table is None else self._rank_table.reach)
+
+    def profile_macros(self) -> dict[str, int]:
+        """What cl/deposit.h is compiled for."""
+        return {
+            "CYCLIC": self._rank_table is None and self.profile.arrows, "DITHERED": self.dithered,
+            "VALUE": self.noise.reads == "value", "BLENDED": self.blended,
+            "TABLE": 0 if self._rank_table is None else self._rank_table.ranks.shape[1],
+        }  # fmt: skip

@@ -26,7 +26,7 @@ from amslicer.notes import notes_of
 from amslicer.painted import Painted, open_fields
 from amslicer.pattern import Pattern, make_noise
 from amslicer.placement import Placement, place
-from amslicer.profile import PROFILES
+from amslicer.profiles import make_profile
 from amslicer.tiles import CALM_DEG, CALM_TILE_PERIODS, TILE_PERIODS, Tiling, choose_tiling
 
 if TYPE_CHECKING:
@@ -121,7 +121,7 @@ def prepare(job: Job) -> Prepared:
     painted = open_fields(job, placement, mesh.size_mm)
     _refuse_periods(painted)
     _refuse_isotropies(painted)
-    if PROFILES[spec.pattern.profile].cyclic:
+    if make_profile(spec.pattern.profile).arrows:
         refuse_lines(painted)
     lattice = None
     if spec.pattern.evaluate == "lattice":
@@ -289,7 +289,7 @@ def make_layers(
     Close it before the pool and the device.
     """
     grid = prepared.grid
-    graded = len(prepared.painted.materials) - 1 if prepared.painted.ratio_depends_on_z else 0
+    graded = len(prepared.painted.materials) - 1 if prepared.painted.materials_depend_on_z else 0
     at_once = layers_at_once(grid, prepared.tiling, graded)
 
     painted = pool.submit(pattern.sum_ratios, chosen.start)

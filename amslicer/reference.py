@@ -356,6 +356,23 @@ def cyclic_labels(g: NDArray[Any], cumulative: ArrayLike) -> NDArray[np.uint8]:
     return np.asarray(1 + np.count_nonzero(beyond, axis=0), np.uint8)
 
 
+def waveform_labels(
+    g: NDArray[Any], cumulative: ArrayLike, wave: Callable[[Floats], Floats], samples: int = 200_001
+) -> NDArray[np.uint8]:
+    """Material numbers (from 1) of a waveform's profile: m where the share with f > f(ϕ) is in [c(m-1), c(m)).
+
+    Args:
+        g, cumulative: as in `symmetric_labels`.
+        wave: f of shares of a turn, without plateaus.
+        samples: of a turn that the share is counted among.
+    """
+    heights = np.sort(wave((np.arange(samples) + 0.5) / samples))
+    share = 1 - np.searchsorted(heights, wave(np.arctan2(g.imag, g.real) / (2 * np.pi) % 1)) / samples
+    c = np.asarray(cumulative, np.float64)
+    beyond = ((share >= c) | (c <= 0)) & (c < 1)
+    return np.asarray(1 + np.count_nonzero(beyond, axis=0), np.uint8)
+
+
 def jittered(g: NDArray[Any], columns: ArrayLike, rows: ArrayLike, layer: int, wave: ArrayLike, seed: int) -> Complexes:
     """G as at a random place within each pixel, for dithered edges: turned by wave · u, u uniform in ±½ on each axis.
 

@@ -176,11 +176,11 @@ def print_info(found: StackInfo) -> None:
 
 
 def _pattern_text(pattern: dict[str, Any]) -> str:
-    period = pattern["period"]
+    period, profile = pattern["period"], pattern["profile"]
     shown = f"{period:g} mm" if isinstance(period, float) else "painted"
     return (
         f"{pattern['noise']} in {pattern['dimensions']}D, period {shown}, bandwidth {pattern['bandwidth']:g}, "
-        f"profile {pattern['profile']}, seed {pattern['seed']}"
+        f"profile {profile if isinstance(profile, str) else next(iter(profile))}, seed {pattern['seed']}"
     )
 
 

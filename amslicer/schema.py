@@ -20,6 +20,7 @@ def job_schema() -> dict[str, Any]:
     sections = schema["$defs"]
     _accept_printer_names(schema, sections["Printer"])
     _accept_material_names(schema, sections["Material"])
+    _accept_bare_amplitudes(sections["HarmonicsShape"])
     _without_titles(schema)
     return {
         "$schema": DIALECT,
@@ -55,6 +56,11 @@ def _accept_material_names(schema: dict[str, Any], material: dict[str, Any]) -> 
     materials = schema["properties"]["materials"]
     materials["items"] = {"anyOf": [{**name, "description": "a material's name is enough"}, materials["items"]]}
     material["required"].remove("color")
+
+
+def _accept_bare_amplitudes(shape: dict[str, Any]) -> None:
+    harmonics = shape["properties"]["harmonics"]
+    harmonics["items"] = {"anyOf": [{"type": "number"}, harmonics["items"]]}
 
 
 def _without_titles(node: Any, *, names: bool = False) -> None:

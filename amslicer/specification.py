@@ -13,6 +13,7 @@ from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, field_val
 from amslicer.fields import PLANNED, SOURCES, FieldSpec, source_name
 from amslicer.fields.source import Number
 from amslicer.grid import MM_PER_INCH
+from amslicer.profiles.waveforms import SHAPES, Blend, Harmonic, ProfileSpec
 from amslicer.storage import INPUTS, JOB_FILE, MANIFEST
 
 Whole = Annotated[int, Field(strict=True)]
@@ -34,7 +35,6 @@ NOISE_NAMES = (
     "phasor", "gabor", "gabor-isotropic", "phacelle", "phacelle-simple", "wave", "wave-cellular",
     "wave-polytope", "wave-stit", "wave-by-example", "random-phase", "asymptotic-spot",
 )  # fmt: skip
-PROFILE_NAMES = ("pwm", "symmetric", "cyclic")
 REST = "rest"  # of a ratio per material: what the others leave
 FORMAT_NAMES = ("png", "grabcad", "gcvf", "sl1", "tiff", "zarr", "vti", "nrrd", "3mf", "svx")
 
@@ -157,9 +157,10 @@ class Pattern(Model):
         default=0, description="phase-alignment sweeps: 20 leave hardly a sheet that ends inside the part"
     )
     evaluate: Literal["lattice", "exact"] = Field(default="lattice", description="how G is computed")
-    profile: Literal[PROFILE_NAMES] = Field(  # type: ignore[valid-type]
+    profile: ProfileSpec = Field(
         default="pwm",
-        description="phase to material: pwm (= symmetric), A B C B A … across the sheets, or cyclic, A B C A B C …",
+        description="phase to material: pwm (= symmetric), A B C B A … across the sheets; cyclic, A B C A B C …; or "
+        "where a waveform is highest: {table: [...]}, {harmonics: [...]}, {square: duty}, or a blend of two",
     )
     edges: Literal["sharp", "dithered"] = Field(
         default="sharp", description="of sheets: as the pixel centres see them, or unbiased at random within the pixel"
@@ -286,6 +287,8 @@ def key_paths() -> dict[str, str]:
         ("fields.orientation.", VectorComponents),
         ("output.", Output), ("gradient.", LinearGradient), ("gradient.", RadialGradient),
         *(("", source) for source in SOURCES.values()),
+        *(("pattern.profile.", shape) for shape in SHAPES.values()),
+        ("pattern.profile.blend.", Blend), ("pattern.profile.harmonics.", Harmonic),
     )  # fmt: skip
     for prefix, model in sections:
         for key, info in model.model_fields.items():

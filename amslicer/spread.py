@@ -28,6 +28,8 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
+    from amslicer.profiles import Profile
+
     Floats = NDArray[np.float64]
     Complexes = NDArray[np.complex128]
 
@@ -59,7 +61,7 @@ CACHED_WINDOWS, CACHED_CALLS = 4096, 64
 
 
 def share_deviation(
-    low: ArrayLike, high: ArrayLike, *, profile: str, bandwidth: float, dimensions: int, window_periods: ArrayLike,
+    low: ArrayLike, high: ArrayLike, *, profile: Profile, bandwidth: float, dimensions: int, window_periods: ArrayLike,
     filled: ArrayLike = 1.0, isotropy: ArrayLike = 0.0, normal: ArrayLike | None = None,
 ) -> Floats:  # fmt: skip
     """Standard deviation of a material's share of a box window of unaligned phasor noise.
@@ -70,7 +72,6 @@ def share_deviation(
 
     Args:
         low, high: the material's cumulative ratios c(m-1) and c(m), 0…1; all arrays broadcast.
-        profile: symmetric (= pwm) or cyclic.
         bandwidth: B, relative to 1/period.
         dimensions: 2 or 3, of the pattern.
         window_periods: (..., 2) or (..., 3) sides along x, y (and z) in periods. Two sides of a 3D pattern are a
@@ -83,7 +84,7 @@ def share_deviation(
     low, high, filled, isotropy = (np.asarray(v, np.float64) for v in (low, high, filled, isotropy))
     sides = np.asarray(window_periods, np.float64)[..., : 2 if dimensions == 2 else 3]
     most = (high - low) * (1 - (high - low))  # every pixel alike
-    power = amplitudes(low, high, profile) ** 2 / 2
+    power = profile.amplitudes(low, high, HARMONICS) ** 2 / 2
     remainder = np.maximum(most - np.sum(power, axis=-1), 0.0)
     scale = (FEW_KERNELS * (1 + BENDING * isotropy)) ** 2
 
@@ -112,7 +113,7 @@ def share_deviation(
 
 
 def share_limit(
-    low: ArrayLike, high: ArrayLike, *, profile: str, bandwidth: float, dimensions: int, window_periods: ArrayLike,
+    low: ArrayLike, high: ArrayLike, *, profile: Profile, bandwidth: float, dimensions: int, window_periods: ArrayLike,
     filled: ArrayLike = 1.0, isotropy: ArrayLike = 0.0, normal: ArrayLike | None = None, pixels: ArrayLike = 0.0,
 ) -> Floats:  # fmt: skip
     """How far an honest window's share may be from the ratio: shares of few periods are not Gaussian.
@@ -145,7 +146,7 @@ def limit_of(chance: Floats, share: Floats, dimensions: int, window_periods: Arr
 
 
 def pixel_deviation(
-    low: ArrayLike, high: ArrayLike, *, profile: str, dimensions: int, pixels_per_period: ArrayLike, pixels: ArrayLike
+    low: ArrayLike, high: ArrayLike, *, dimensions: int, pixels_per_period: ArrayLike, pixels: ArrayLike
 ) -> Floats:
     """Standard deviation that point-sampling by pixels adds to a share, where pixels and sheets are out of step.
 
@@ -156,29 +157,15 @@ def pixel_deviation(
     face across a row of pixels crosses Σ|n_i| <= √dimensions of them per row.
 
     Args:
-        low, high, profile: as in share_deviation.
+        low, high: as in share_deviation.
         pixels_per_period: period over the coarsest pitch.
         pixels: solid pixels, of all layers that have a pattern of their own.
     """
     low, high = np.asarray(low, np.float64), np.asarray(high, np.float64)
     share = np.minimum(high - low, 1 - (high - low))
-    inner = (low > 0) & (high < 1) & (profile != "cyclic")
+    inner = (low > 0) & (high < 1)
     faces = np.where(inner, 4, 2) * math.sqrt(dimensions) / np.asarray(pixels_per_period, np.float64)
     return np.asarray(np.sqrt(np.minimum(faces / 6, share * (1 - share)) / np.asarray(pixels, np.float64)))
-
-
-def amplitudes(low: ArrayLike, high: ArrayLike, profile: str, harmonics: int = HARMONICS) -> Floats:
-    """(..., harmonics) a_h of a material's indicator Σ a_h cos(h(ϕ - ϕ₀)), h = 1, 2, …
-
-    Args:
-        low, high: the material's cumulative ratios.
-        profile: symmetric (= pwm): low <= |ϕ|/π < high; cyclic: low <= ϕ/2π mod 1 < high.
-    """
-    h = np.pi * np.arange(1, harmonics + 1)
-    low, high = (np.asarray(v, np.float64)[..., None] for v in (low, high))
-    if profile == "cyclic":
-        return np.asarray(2 * np.sin(h * (high - low)) / h)
-    return np.asarray(2 * (np.sin(h * high) - np.sin(h * low)) / h)
 
 
 def harmonic_variance(order: int, sides: ArrayLike, cycles: ArrayLike, width: ArrayLike) -> Floats:

@@ -216,7 +216,7 @@ def _outcome_notes(manifest: dict[str, Any], prepared: Prepared) -> Iterator[str
         yield f"{len(gaps)} layers between solid ones are empty, first {gaps[0]}: the part is thinner than a pixel"
     first = manifest["materials"][0]
     allowed = ratio_tolerance(
-        prepared.grid, prepared.job, prepared.painted, first["ratio_asked"], sum(solid), max(solid)
+        prepared.grid, prepared.job, prepared.painted, (0.0, first["ratio_asked"]), sum(solid), max(solid)
     )
     if abs(first["ratio"] - first["ratio_asked"]) > allowed:
         yield (

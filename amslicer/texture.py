@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
     from amslicer.grid import Grid
     from amslicer.painted import Painted
+    from amslicer.profiles import Profile
 
     Floats = NDArray[np.float64]
 
@@ -67,11 +68,11 @@ class Texture:
     """Gathers a stack layer by layer, thinned, and measures its blocks.
 
     Args:
-        bandwidth: of the pattern.
+        bandwidth, profile: of the pattern.
     """
 
-    def __init__(self, painted: Painted, grid: Grid, bandwidth: float, *, cyclic: bool) -> None:
-        self._painted, self._grid, self._bandwidth, self._cyclic = painted, grid, bandwidth, cyclic
+    def __init__(self, painted: Painted, grid: Grid, bandwidth: float, profile: Profile) -> None:
+        self._painted, self._grid, self._bandwidth, self._profile = painted, grid, bandwidth, profile
         self.planar = painted.dimensions == 2
         shortest, longest = painted.period_bounds_mm
         pitch = np.array([*grid.pitch_mm, grid.layer_mm])
@@ -159,7 +160,7 @@ class Texture:
         period = float(self._painted.periods(places).mean())
         shares = counts.sum(axis=(1, 2, 3)) / solid.sum()
         thinnest = min((s for s in shares if s > 0), default=0.0) * period
-        levels = _levels(shares, cyclic=self._cyclic)
+        levels = self._profile.levels(shares, float(self._painted.blends(places).mean()))
         contrast = float(shares @ levels**2 - (shares @ levels) ** 2)
         if contrast < MIN_CONTRAST or thinnest < MIN_SHEET_PX * max(self._grid.pitch_mm):
             return None
@@ -200,13 +201,6 @@ def _places(corner_mm: Floats, size_mm: Floats, planar: bool) -> Floats:
     share = (np.arange(PLACES) + 0.5) / PLACES
     grid = np.meshgrid(share, share, [0.5] if planar else share, indexing="ij")
     return corner_mm + np.stack(grid, axis=-1).reshape(-1, 3) * size_mm
-
-
-def _levels(shares: Floats, *, cyclic: bool) -> Floats:
-    """What each material says of the cosine of the phase: its value in the middle of the material's share of a turn."""
-    until = np.cumsum(shares)
-    middle = until - shares / 2
-    return np.asarray(np.cos((2 if cyclic else 1) * np.pi * middle))
 
 
 def _taper(shape: tuple[int, ...]) -> Floats:

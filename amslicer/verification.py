@@ -20,12 +20,12 @@ from amslicer.levelspread import level_deviation
 from amslicer.manifest import LayerRecord, placement_of
 from amslicer.noise import NOISES
 from amslicer.painted import Painted, open_fields
-from amslicer.profile import PROFILES
+from amslicer.profiles import make_profile
 from amslicer.spread import DEFECT
 from amslicer.stack import VOLUME_SHARE, Stack, decode_bitmap
 from amslicer.storage import JOB_FILE, storage_errors
 from amslicer.texture import Shown, Texture
-from amslicer.windows import VALUE, Level, RatioWindows
+from amslicer.windows import Level, RatioWindows
 from amslicer.writers.png import layer_path
 
 if TYPE_CHECKING:
@@ -213,8 +213,8 @@ def verify_stack(
     totals, asked = [0] * len(stack.materials), [0.0] * len(stack.materials)
     windows = RatioWindows(painted, stack.grid)
     pattern = job.spec.pattern
-    cyclic = PROFILES[pattern.profile].cyclic
-    texture = Texture(painted, stack.grid, pattern.bandwidth, cyclic=cyclic)
+    profile = make_profile(pattern.profile)
+    texture = Texture(painted, stack.grid, pattern.bandwidth, profile)
     shown: list[Shown] = []
     with ThreadPoolExecutor(Run(jobs=jobs).threads) as pool:
         look = _LayerLook(stack, painted, windows, texture if texture.usable else None)
@@ -229,8 +229,9 @@ def verify_stack(
             if progress:
                 progress(done, len(stack.records))
     shown.extend(texture.finish())
-    law = pattern.profile if NOISES[pattern.noise].reads == "phase" else VALUE
-    levels = list(windows.levels(pattern.bandwidth, law, aligned=pattern.alignment > 0))
+    levels = list(windows.levels(
+        pattern.bandwidth, profile, values=NOISES[pattern.noise].reads == "value", aligned=pattern.alignment > 0
+    ))  # fmt: skip
     materials = _material_reports(stack, job, painted, totals, asked)
     for m in materials.values():
         if not m.ok:
@@ -376,23 +377,27 @@ def _material_reports(
 ) -> dict[str, MaterialReport]:
     solid = sum(totals)
     largest = max(sum(r.pixels.values()) for r in stack.records)
-    reports = {}
+    reports, until = {}, 0.0
     for name, count, wanted in zip(stack.materials, totals, asked, strict=True):
         share = wanted / solid if solid else 0.0
-        tolerance = ratio_tolerance(stack.grid, job, painted, share, solid, largest)
+        below, until = until, min(until + share, 1.0)
+        tolerance = ratio_tolerance(stack.grid, job, painted, (below, until), solid, largest)
         reports[name] = MaterialReport(name, count, count / solid if solid else 0.0, share, tolerance)
     return reports
 
 
-def ratio_tolerance(grid: Grid, job: Job, painted: Painted, ratio: float, solid: int, largest: int) -> float:
+def ratio_tolerance(
+    grid: Grid, job: Job, painted: Painted, cumulative: tuple[float, float], solid: int, largest: int
+) -> float:
     """How far the ratio of an honest stack may be from the painted mean: 4σ + ρ(1-ρ)/N, a pixel's share, a defect's.
 
     A part of about one period² may be of one material; there the largest error that is possible is allowed.
 
     Args:
-        ratio: mean painted ratio over the solid.
+        cumulative: mean painted ratios over the solid of all materials before one, and up to it.
         solid, largest: solid pixels of all layers, and of the layer that has most.
     """
+    ratio = cumulative[1] - cumulative[0]
     if solid == 0 or not 0 < ratio < 1:
         return 0.0 if solid == 0 else 1.0 / solid
     pattern = job.spec.pattern
@@ -411,7 +416,8 @@ def ratio_tolerance(grid: Grid, job: Job, painted: Painted, ratio: float, solid:
         normals = painted.normals(np.array([[0.0, 0.0, 0.0], size / 2, size]))
         sigma = max(
             float(np.max(level_deviation(
-                0.0, ratio, bandwidth=pattern.bandwidth, dimensions=pattern.dimensions, window_periods=sides, normal=n
+                *cumulative, profile=make_profile(pattern.profile), bandwidth=pattern.bandwidth,
+                dimensions=pattern.dimensions, window_periods=sides, normal=n,
             )))
             for n in (None, *normals)
         )  # fmt: skip

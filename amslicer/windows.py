@@ -21,10 +21,10 @@ if TYPE_CHECKING:
 
     from amslicer.grid import Grid
     from amslicer.painted import Painted
+    from amslicer.profiles import Profile
 
     Floats = NDArray[np.float64]
 
-VALUE = "value"
 LEAF_PERIODS = 4.0  # no window is narrower (but for a part that is)
 MAX_LEAVES = 64  # along an axis: 32 × 32 × 8 windows of a large part are enough to look at
 PLACES = 2  # per axis of a window where the painted direction is read
@@ -104,11 +104,13 @@ class RatioWindows:
         self._asked[:, z] += asked
         self._layers[z] += bool(np.any(got))
 
-    def levels(self, bandwidth: float, profile: str, *, aligned: bool = False) -> Iterator[Level]:
+    def levels(
+        self, bandwidth: float, profile: Profile, *, values: bool = False, aligned: bool = False
+    ) -> Iterator[Level]:
         """The windows of each size, from the leaves to the whole part.
 
         Args:
-            profile: a phase's, or VALUE: materials are what lies above levels of a value.
+            values: materials follow from Gaussian values, not from phases.
             aligned: phases are: oblique laminates then scatter less, sheets that run along a window's side more, as
                 those of a grating do. The larger is expected.
         """
@@ -116,7 +118,7 @@ class RatioWindows:
         bandwidths = (bandwidth, ALIGNED_SHARE * bandwidth) if aligned else (bandwidth,)
         edges = [e.astype(float) for e in self._edges]
         while True:
-            level = self._level(got, asked, edges, bandwidths, profile)
+            level = self._level(got, asked, edges, bandwidths, profile, values)
             if level is not None:
                 yield level
             if all(len(e) == 2 for e in edges):
@@ -133,7 +135,13 @@ class RatioWindows:
         return np.asarray(np.add.reduceat(rows, self._edges[1][:-1], axis=0))
 
     def _level(
-        self, got: Floats, asked: Floats, edges: list[Floats], bandwidths: tuple[float, ...], profile: str
+        self,
+        got: Floats,
+        asked: Floats,
+        edges: list[Floats],
+        bandwidths: tuple[float, ...],
+        profile: Profile,
+        values: bool,
     ) -> Level | None:
         pitch = np.array([*self._grid.pitch_mm, self._grid.layer_mm])
         pixels = np.einsum("i,j,k->kji", *(np.diff(e) for e in edges))
@@ -153,13 +161,20 @@ class RatioWindows:
             low[:, 2], high[:, 2] = 0.0, self._grid.layers * self._grid.layer_mm
         of_window = solid[z, y, x][:, None]
         got_share, asked_share = (np.moveaxis(c[:, z, y, x], 0, -1) / of_window for c in (got, asked))
-        laws = [self._spread(low, high, asked_share, filled[z, y, x], b, profile) for b in bandwidths]
-        sigma, limit = (np.max(values, axis=0) for values in zip(*laws, strict=True))
+        laws = [self._spread(low, high, asked_share, filled[z, y, x], b, profile, values) for b in bandwidths]
+        sigma, limit = (np.max(found, axis=0) for found in zip(*laws, strict=True))
         counts = tuple(len(e) - 1 for e in edges)
         return Level(low, high, got_share, asked_share, sigma, limit, place, (counts[0], counts[1], counts[2]))
 
     def _spread(
-        self, low_mm: Floats, high_mm: Floats, asked: Floats, filled: Floats, bandwidth: float, profile: str
+        self,
+        low_mm: Floats,
+        high_mm: Floats,
+        asked: Floats,
+        filled: Floats,
+        bandwidth: float,
+        profile: Profile,
+        values: bool,
     ) -> tuple[Floats, Floats]:
         """(W, materials) standard deviations and limits."""
         axes = 2 if self.planar else 3
@@ -170,9 +185,8 @@ class RatioWindows:
         below = np.concatenate([np.zeros((len(until), 1)), until[:, :-1]], axis=1)
         pitch = np.array([*self._grid.pitch_mm, self._grid.layer_mm])[:axes]
         sides_mm = (high_mm - low_mm)[:, :axes]
-        value = profile == VALUE
         law: dict[str, Any] = {
-            **({} if value else {"profile": profile}), "bandwidth": bandwidth, "dimensions": axes,
+            "profile": profile, "bandwidth": bandwidth, "dimensions": axes,
             "window_periods": (sides_mm / period)[:, None], "filled": filled[:, None], "isotropy": isotropy[:, None],
         }  # fmt: skip
         # What a wider period does just beside a window reaches into it: the widest in or at it makes the limit.
@@ -181,9 +195,9 @@ class RatioWindows:
         for share in self._places():
             # Sheets along a window's side are cut in phase only where they run along all of it.
             normal = self._painted.normals(low_mm + share * (high_mm - low_mm))
-            if value:
+            if values:
                 pixel = pixel_deviation(
-                    below, until, profile="symmetric", dimensions=axes,
+                    below, until, dimensions=axes,
                     pixels_per_period=period / pitch.max(), pixels=np.prod(sides_mm / pitch, axis=1)[:, None],
                 )  # fmt: skip
                 sigmas.append(np.hypot(level_deviation(below, until, **law, normal=normal[:, None]), pixel))

@@ -1,7 +1,9 @@
 // From G to bitmaps of the materials: a solid pixel's material is 1 + the number of thresholds that the phase is beyond. A
-// threshold is the profile's key (amslicer/profile.py) at a cumulative ratio; beyond 1 or -3 it is a plain fill. The host
-// defines CYCLIC; VALUE: thresholds are values of Re G, and a pixel is beyond those that are not below its own; and
-// DITHERED: each pixel reads G at a random place within itself.
+// threshold is the profile's key (amslicer/profiles/key.py) at a cumulative ratio; beyond 1 or -3 it is a plain fill. The
+// host defines CYCLIC; VALUE: Re G is read, thresholds are values of it, and a pixel is beyond those that are not below its
+// own; TABLE, or 0: a pixel's rank is looked up among so many (amslicer/profiles/rank.py), and it is beyond the thresholds
+// that are not above its rank; BLENDED: a last plane of thresholds says in which row of the table; and DITHERED: each pixel
+// reads G at a random place within itself.
 
 #ifndef AMSLICER_DEPOSIT_H
 #define AMSLICER_DEPOSIT_H
@@ -36,10 +38,13 @@ floatV jitter(const int column, const uint row, const uint layer, const float4 w
 }
 #endif
 
-// What the pixels of a job share: thresholds: [planes][padded rows][padded columns]; padded: columns, rows; number and
-// seed: of the hash; planar: a 2D pattern's layers all count as the first.
+// What the pixels of a job share: thresholds: [planes][padded rows][padded columns]; padded: columns, rows; ranks: [rows]
+// [TABLE], over the stand-in for the angle or over values from -reach to reach; number and seed: of the hash; planar: a 2D
+// pattern's layers all count as the first.
 typedef struct {
     global const float *thresholds;
+    global const float *ranks;
+    float reach;
     uint planes;
     uint2 padded;
     uint2 seed;
@@ -55,6 +60,25 @@ void pack(const intV lanes, uchar bits[VECTOR / 8])
         bits[i] = (uchar)((((const ulong *)&ones)[i] * 0x8040201008040201UL) >> 56);
 }
 
+#if TABLE
+// The rank of each of a vector of pixels; row: of the table.
+floatV rank_of(const floatV re, const floatV im, const Profile profile, const floatV row)
+{
+#if VALUE
+    const floatV place = fma(re, (floatV)(0.5f / profile.reach), (floatV)0.5f) * (float)TABLE;
+#else
+    const floatV size = fabs(re) + fabs(im), turned = re / fmax(size, (floatV)FLT_MIN);
+    floatV angle = select((floatV)3.0f + turned, (floatV)1.0f - turned, im >= 0.0f);
+    angle = select(angle, (floatV)2.0f, size == 0.0f);
+    const floatV place = angle * (0.25f * TABLE);
+#endif
+    const intV entry = to_intV(clamp(place, (floatV)0.0f, (floatV)(TABLE - 1))) + to_intV(row) * TABLE;
+    floatV rank;
+    for (int i = 0; i < VECTOR; ++i) ((float *)&rank)[i] = profile.ranks[((const int *)&entry)[i]];
+    return rank;
+}
+#endif
+
 // The bitmaps of a vector of pixels of one row from G there. deposits: [material][padded rows][bytes] and solid:
 // [padded rows][bytes] of a layer; column, row: of the first pixel; wave: rad per column, row and layer; layer: the part's.
 void deposit(floatV re, floatV im, global const uchar *solid, global uchar *deposits, const Profile profile,
@@ -68,7 +92,7 @@ void deposit(floatV re, floatV im, global const uchar *solid, global uchar *depo
     im = fma(re, sine_of, im * cosine_of);
     re = turned;
 #endif
-#if !VALUE
+#if !VALUE && !TABLE
     const floatV power = fma(re, re, im * im);
     floatV key = re * fabs(re);
 #if CYCLIC
@@ -78,9 +102,19 @@ void deposit(floatV re, floatV im, global const uchar *solid, global uchar *depo
     const size_t plane = (size_t)profile.padded.x * profile.padded.y;
     const size_t place = (size_t)row * profile.padded.x + (size_t)column;
     intV material = (intV)0;
+#if TABLE
+#if BLENDED
+    const floatV line = vloadV(0, profile.thresholds + profile.planes * plane + place);
+#else
+    const floatV line = (floatV)0.0f;
+#endif
+    const floatV rank = rank_of(re, im, profile, line);
+#endif
     for (uint p = 0; p < profile.planes; ++p) {
         const floatV threshold = vloadV(0, profile.thresholds + p * plane + place);
-#if VALUE
+#if TABLE
+        material -= rank >= threshold;
+#elif VALUE
         material -= re <= threshold;
 #else
         material -= (threshold > 1.0f) | ((threshold >= -3.0f) & (key <= threshold * power));

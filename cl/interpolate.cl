@@ -12,6 +12,7 @@
 __attribute__((reqd_work_group_size(1, 1, 1)))
 kernel void interpolate(global uchar *restrict deposits, global const float *restrict field,
                         global const uchar *restrict solid, global const float *restrict thresholds,
+                        global const float *restrict ranks, const float reach,
                         global const int2 *restrict tiles, global const uint *restrict slots,
                         const uint planes, const uint2 padded, const uint field_tiles,
                         global const uchar *restrict needed, const uint needed_layers, const uint first,
@@ -27,7 +28,7 @@ kernel void interpolate(global uchar *restrict deposits, global const float *res
     const uint wanted = needed[tile_index * needed_layers + first + layer];
     if (wanted == 0) return;
     const int2 corner = tiles[tile_index] * pixels;
-    const Profile profile = {thresholds, planes, padded, seed, number, planar};
+    const Profile profile = {thresholds, ranks, reach, planes, padded, seed, number, planar};
     const float4 wave = waves[tile_index];
     const size_t bytes = (size_t)(first + layer) * padded.x * padded.y / 8;
 

@@ -8,6 +8,7 @@
 // waves: of each tile, rad per column, row and layer; number: of the hash's counter; first_layer: the part's layer that the hash counts the first one as (a planar pattern's all count as one).
 kernel void profile(global uchar *restrict deposits, global const float *restrict field,
                     global const uchar *restrict solid, global const float *restrict thresholds,
+                    global const float *restrict ranks, const float reach,
                     global const int2 *restrict tiles, global const uint *restrict slots,
                     const uint planes, const uint2 padded, const uint field_tiles,
                     const uint field_layers, const uint first, global const float4 *restrict waves,
@@ -21,7 +22,7 @@ kernel void profile(global uchar *restrict deposits, global const float *restric
     const size_t slot = (size_t)((first + layer) % field_layers) * field_tiles + slots[tile_index];
     global const float *g = field + (slot * TILE + row) * 2 * TILE;
     const size_t bytes = (size_t)(first + layer) * padded.x * padded.y / 8;
-    const Profile profile = {thresholds, planes, padded, seed, number, planar};
+    const Profile profile = {thresholds, ranks, reach, planes, padded, seed, number, planar};
     for (int v = 0; v < TILE; v += VECTOR)
         deposit(vloadV(0, g + v), vloadV(0, g + TILE + v), solid + bytes, deposits + (planes + 1) * bytes, profile,
                 corner.x + v, down, first_layer + layer, waves[tile_index]);

@@ -20,7 +20,7 @@ from PIL import Image
 
 from amslicer import JobError, load_job
 from amslicer.noise import NOISES
-from amslicer.profile import PROFILES
+from amslicer.profiles import PROFILES
 
 Field = Any  # a FIELD of the job file
 MAX_MATERIALS = 8
@@ -163,9 +163,19 @@ PARTS: dict[str, SearchStrategy[Any]] = {
     "on_bed": st.booleans(),
     "allow_open": st.booleans(),
 }
+# Waveforms that are the same both ways, and those that are not.
+EVEN: tuple[Any, ...] = (
+    {"harmonics": [1, 0.5]}, {"table": [0, 1, 0.5, 0.5, 1]}, {"square": 0.25},
+    {"blend": {"from": "sine", "to": {"harmonics": [0, 1]}, "by": {"gradient": {"axis": "x", "from": 0, "to": 1}}}},
+)  # fmt: skip
+UNEVEN: tuple[Any, ...] = (
+    {"table": [0, 1, 0.25]},
+    {"harmonics": [1, {"amplitude": 0.5, "phase": 40}]},
+    {"blend": {"from": "triangle", "to": "sawtooth", "by": 0.5}},
+)
 PATTERN: dict[str, SearchStrategy[Any]] = {
     "noise": st.sampled_from(sorted(NOISES)),
-    "profile": st.sampled_from(sorted(PROFILES)),
+    "profile": st.sampled_from([*sorted(PROFILES), *EVEN, *UNEVEN]),
     "edges": st.sampled_from(["sharp", "dithered"]),
     "period": fields(1, 3),
     "bandwidth": numbers(0.4, 1),
@@ -191,6 +201,10 @@ def orientations(dimensions: int, *, arrows: bool) -> SearchStrategy[Any]:
     return st.one_of(angles, st.fixed_dictionaries(pair), st.fixed_dictionaries({"vector": vector}))
 
 
+def _needs_arrows(profile: Any) -> bool:
+    return profile in UNEVEN or (isinstance(profile, str) and PROFILES[profile].arrows)
+
+
 @st.composite
 def jobs(draw: st.DrawFn) -> dict[str, Any]:
     """The content of a valid job file."""
@@ -199,10 +213,12 @@ def jobs(draw: st.DrawFn) -> dict[str, Any]:
     names = [m if isinstance(m, str) else m["name"] for m in chosen]
     pattern = draw(st.fixed_dictionaries({}, optional=PATTERN))
     if NOISES[pattern.get("noise", "phasor")].reads == "value":  # there is no phase
-        pattern = {k: v for k, v in pattern.items() if k not in ("profile", "alignment")}
+        pattern = {k: v for k, v in pattern.items() if k != "alignment"}
+        if _needs_arrows(pattern.get("profile", "pwm")):
+            del pattern["profile"]
     if pattern.get("noise") == "phacelle":
         pattern.pop("impulses", None)
-    arrows = PROFILES[pattern.get("profile", "pwm")].cyclic
+    arrows = _needs_arrows(pattern.get("profile", "pwm"))
     painted = {"orientation": orientations(dimensions, arrows=arrows), "isotropy": fields(0, 1)}
     return {
         "printer": draw(printers()),
@@ -276,7 +292,11 @@ OUT_OF_RANGE: Mapping[str, tuple[Any, ...]] = {
     "density_g_cm3": (0, -1),
     "name": ("", "a/b", "..", "inputs", "x" * 65),
     "noise": ("perlin", ""),
-    "profile": ("square",),
+    "profile": ("pulse", {"table": [1, 1]}, {"table": [1]}, {"harmonics": [0, 0]}, {"square": 1}, {}),
+    "table": ([], [1], [2, 2, 2], [0, "a"]),
+    "square": (0, 1, -0.2),
+    "harmonics": ([], [0], ["a"]),
+    "amplitude": ("a",),
     "edges": ("blurred", ""),
     "dimensions": (1, 4, 2.5),
     "period": (0, -1),

@@ -85,3 +85,12 @@ def test_planes() -> None:
     assert at(fields.ratio, job, left, right, (9.999, 7, 0.001)) == pytest.approx([0.2, 0.8, 0.2])
     angles = at(fields.orientation, job, (3, -9.999, 4.999), (3, 9.999, 4.999), (3, 9.999, 0.001), (3, 0, 5))
     assert angles == pytest.approx([-45, 45, -45, 0])
+
+
+def test_profiles() -> None:
+    profile: Any = example("profiles").spec.pattern.profile
+    first, second = profile.waves()
+    turn = np.linspace(0, 1, 9)
+    np.testing.assert_allclose(first(turn), np.cos(2 * np.pi * turn))
+    np.testing.assert_allclose(second(turn), 0.4 * np.cos(2 * np.pi * turn) + np.cos(4 * np.pi * turn), atol=1e-12)
+    assert at(profile.blend.by, example("profiles"), (-10, 0, 0), (0, 0, 0), (10, 0, 0)) == [0, 0.5, 1]

@@ -26,7 +26,7 @@ from amslicer.fields.orientation import Angles, Orientation
 from amslicer.fields.source import blend
 from amslicer.pipeline import prepare
 from amslicer.placement import Placement, place
-from amslicer.profile import PROFILES
+from amslicer.profiles import PROFILES
 
 THRESHOLDS = PROFILES["pwm"].thresholds
 Floats = NDArray[np.float64]

@@ -15,6 +15,7 @@ from amslicer import JobError, UsageError
 from amslicer.levelspread import level_deviation
 from amslicer.noise.gabor import Gabor
 from amslicer.pipeline import prepare
+from amslicer.profiles import PROFILES
 from amslicer.spread import pixel_deviation
 
 Floats = NDArray[np.float64]
@@ -194,11 +195,15 @@ def test_shares_of_windows_scatter_as_theory_says(tmp_path: Path, bandwidth: flo
             n = 72 // side
             windows = shares.reshape(-1, n, 10 * side, n, 10 * side).mean(axis=(2, 4))
             sigma = level_deviation(
-                0.0, ratio, bandwidth=bandwidth, dimensions=2, window_periods=(side, side), normal=normal
+                0.0,
+                ratio,
+                profile=PROFILES["pwm"],
+                bandwidth=bandwidth,
+                dimensions=2,
+                window_periods=(side, side),
+                normal=normal,
             )
-            pixel = pixel_deviation(
-                0.0, ratio, profile="pwm", dimensions=2, pixels_per_period=10, pixels=(10 * side) ** 2
-            )
+            pixel = pixel_deviation(0.0, ratio, dimensions=2, pixels_per_period=10, pixels=(10 * side) ** 2)
             quotients.append(float(np.sqrt(np.mean((windows - ratio) ** 2)) / np.hypot(sigma, pixel)))
     print(f"B {bandwidth}, ratio {ratio}: measured over theory " + ", ".join(f"{q:.2f}" for q in quotients))
     assert min(quotients) > 0.5  # the law of pixels errs on the large side

@@ -6,7 +6,6 @@ with the accuracy that OpenCL promises for exp, sin and cos (3 and 4 units).
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -18,8 +17,9 @@ from amslicer import reference
 from amslicer.device import Device
 from amslicer.evaluator import AXIS, work_shape
 from amslicer.generator import DeviceGenerator
-from amslicer.noise import turn
-from amslicer.profile import PROFILES
+from amslicer.noise import NOISES, turn
+from amslicer.profiles import PROFILES
+from amslicer.profiles.rank import RankProfile
 from amslicer.resources import resource_folder
 
 Floats = NDArray[np.float64]
@@ -38,12 +38,6 @@ def zeroed(device: Device, nbytes: int) -> Any:
     buffer = device.empty(nbytes)
     device.fill_zeros(buffer, nbytes)
     return buffer
-
-
-@pytest.fixture(scope="module")
-def device() -> Iterator[Device]:
-    with Device() as device:
-        yield device
 
 
 def constants(device: Device, shape: tuple[int, int]) -> dict[str, int]:
@@ -215,8 +209,8 @@ def labels_of(deposits: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 def device_labels(
     device: Device, g: NDArray[np.complex64], cumulative: Floats, solid: NDArray[np.uint8],
-    shape: tuple[int, int] = SHAPES[0], profile: str = "symmetric", wave: Floats | None = None, seed: int = 0,
-    first_layer: int = 0,
+    shape: tuple[int, int] = SHAPES[0], profile: str | RankProfile = "symmetric", wave: Floats | None = None,
+    seed: int = 0, first_layer: int = 0,
 ) -> NDArray[np.uint8]:  # fmt: skip
     """cl/profile.cl and cl/deposit.h on (layers, rows, columns) of G, multiples of the tile, tiles in reverse order."""
     layers, rows, columns = g.shape
@@ -225,17 +219,24 @@ def device_labels(
     slots = np.arange(len(tiles), dtype=np.uint32)[::-1]
     cut = g.reshape(layers, rows // tile, tile, columns // tile, tile).transpose(0, 1, 3, 2, 4)
     field = np.stack([cut.real, cut.imag], axis=-2)
-    kind = PROFILES[profile]
+    kind = PROFILES[profile] if isinstance(profile, str) else profile
+    table = None if isinstance(profile, str) else profile.rank_table(NOISES["phasor"](
+        periods_mm=(1.0, 1.0), bandwidth=0.5, dimensions=2, seed=1
+    ))  # fmt: skip
+    ranks = np.zeros((1, 1), np.float32) if table is None else table.ranks
     thresholds = np.broadcast_to(kind.thresholds(cumulative), (len(cumulative), rows, columns))
     waves = np.zeros((len(tiles), 4), np.float32)
     waves[:, :3] = 0.0 if wave is None else wave
-    macros = {**constants(device, shape), "CYCLIC": kind.cyclic, "DITHERED": wave is not None, "VALUE": 0}
+    macros = {**constants(device, shape), "CYCLIC": kind.arrows, "DITHERED": wave is not None, "VALUE": 0,
+              "TABLE": 0 if table is None else ranks.shape[1],
+              "BLENDED": 0}  # fmt: skip
     deposits = np.zeros((layers, len(cumulative) + 1, rows, columns // 8), np.uint8)
     out = zeroed(device, deposits.nbytes)
     device.kernel("profile", macros)(
         device.queue, (tile, len(tiles), layers), (tile, 1, 1), out, device.buffer(field),
         device.buffer(np.packbits(solid, axis=-1)),
-        device.buffer(thresholds), device.buffer(tiles), device.buffer(slots), np.uint32(len(cumulative)),
+        device.buffer(thresholds), device.buffer(ranks), np.float32(1),
+        device.buffer(tiles), device.buffer(slots), np.uint32(len(cumulative)),
         np.array([columns, rows], np.uint32), np.uint32(len(tiles)), np.uint32(layers), np.uint32(0),
         device.buffer(waves), np.array([seed & 0xFFFFFFFF, seed >> 32], np.uint32), np.uint32(reference.EDGES),
         np.uint32(first_layer), np.uint32(0),

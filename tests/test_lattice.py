@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -53,12 +52,6 @@ CASES: dict[str, dict[str, Any]] = {
         "ratio": {"a": PAINTED, "b": 0.2, "c": "rest"},
     },
 }  # fmt: skip
-
-
-@pytest.fixture(scope="module")
-def device() -> Iterator[Device]:
-    with Device() as device:
-        yield device
 
 
 def make(folder: Path, case: dict[str, Any], evaluate: str) -> amslicer.Job:

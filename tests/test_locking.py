@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from amslicer.locking import locked_deviation, locking_error
 from amslicer.notes import LOCKED_SHARE
+from amslicer.profiles import PROFILES
 
 Floats = NDArray[np.float64]
 RATIOS = (0.25, 0.1, 0.5)
@@ -95,7 +96,9 @@ def wave_of(period_px: float, azimuth: float) -> Floats:
 def predicted(extents: tuple[int, int], wave: Floats, width: float) -> Floats:
     return np.array(
         [
-            locking_error([r], profile="pwm", cycles_per_pixel=wave, extents_px=extents, width_per_pixel=width)[0]
+            locking_error(
+                [r], profile=PROFILES["pwm"], cycles_per_pixel=wave, extents_px=extents, width_per_pixel=width
+            )[0]
             for r in RATIOS
         ]
     )
@@ -116,7 +119,9 @@ def test_ten_pixels_a_period() -> None:
     error = errors((200, 160), wave_of(10, 0), 0.0)
     np.testing.assert_allclose(np.abs(error[:, 0]), 0.05, atol=1e-4)
     np.testing.assert_allclose(error[:, 1:], 0, atol=1e-4)
-    said = locking_error([0.25], profile="pwm", cycles_per_pixel=(0.1, 0), extents_px=(200, 160), width_per_pixel=0)
+    said = locking_error(
+        [0.25], profile=PROFILES["pwm"], cycles_per_pixel=(0.1, 0), extents_px=(200, 160), width_per_pixel=0
+    )
     assert said[0] == pytest.approx(said[1])  # what one material gains the other loses
     assert 0.05 <= said[0] <= 3 * 0.05 * 1.1  # three standard deviations of ± 5 %, and what few kernels add
 
@@ -131,17 +136,23 @@ def test_grating_out_of_step_is_silent() -> None:
 def test_layers_lock_like_rows() -> None:
     for cycles in ((0.1, 0.0, 0.0), (0.0, 0.0, 0.1)):
         said = locking_error(
-            [0.25], profile="pwm", cycles_per_pixel=cycles, extents_px=(100, 100, 100), width_per_pixel=1e-6
+            [0.25], profile=PROFILES["pwm"], cycles_per_pixel=cycles, extents_px=(100, 100, 100), width_per_pixel=1e-6
         )
         assert said.max() >= 0.05
-    flat = locking_error([0.25], profile="pwm", cycles_per_pixel=(0, 0.1), extents_px=(100, 100), width_per_pixel=1e-6)
+    flat = locking_error(
+        [0.25], profile=PROFILES["pwm"], cycles_per_pixel=(0, 0.1), extents_px=(100, 100), width_per_pixel=1e-6
+    )
     assert said.max() == pytest.approx(flat.max(), rel=1e-3)
 
 
 def test_each_material_has_its_own_error() -> None:
     """10 pixels a period, up to 0.25, 0.5 and 1: faces at 2.5 pixels lock, those at 5 do not."""
     said = locking_error(
-        [0.25, 0.5], profile="symmetric", cycles_per_pixel=(0.1, 0), extents_px=(200, 160), width_per_pixel=1e-6
+        [0.25, 0.5],
+        profile=PROFILES["symmetric"],
+        cycles_per_pixel=(0.1, 0),
+        extents_px=(200, 160),
+        width_per_pixel=1e-6,
     )
     assert said[0] == pytest.approx(said[1], rel=0.01)
     assert said[0] > 0.05
@@ -155,7 +166,12 @@ def test_deviation_of_a_wandering_laminate(bandwidth: float) -> None:
         wave, width = wave_of(period_px, 0), bandwidth / period_px
         measured = np.sqrt(np.mean(errors((200, 160), wave, width, ratios=(0.05, 0.25)) ** 2, axis=0))
         expected = locked_deviation(
-            0, [0.05, 0.25], profile="pwm", cycles_per_pixel=wave, extents_px=(200, 160), width_per_pixel=width
+            0,
+            [0.05, 0.25],
+            profile=PROFILES["pwm"],
+            cycles_per_pixel=wave,
+            extents_px=(200, 160),
+            width_per_pixel=width,
         )
         print(f"bandwidth {bandwidth}, {period_px} px: measured {measured.round(4)}, predicted {expected.round(4)}")
         assert np.all(np.abs(measured / expected - 1) < 0.34)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
 import pyopencl as cl
 import pytest
@@ -28,12 +26,6 @@ COUNTS = [1, 7, 63, 65, 127, 1023, 1025]
 
 def words_of(text: str) -> NDArray[np.uint32]:
     return np.array([int(word, 16) for word in text.split()], np.uint32)
-
-
-@pytest.fixture(scope="module")
-def device() -> Iterator[Device]:
-    with Device() as device:
-        yield device
 
 
 def draw(

@@ -6,7 +6,6 @@ profile, and as whole jobs. What is asked is the ratio itself: the plate holds a
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -24,12 +23,6 @@ PERIODS_PX = (10.0, 8.0, 7.5, 12.5, 6.0)
 RATIOS = (0.25, 0.1, 0.5)
 ROWS, COLUMNS = 1200, 320  # 120, 150, 160, 96 and 200 periods
 LIMIT, NOTED = 0.005, 0.01
-
-
-@pytest.fixture(scope="module")
-def device() -> Iterator[Device]:
-    with Device() as device:
-        yield device
 
 
 def worst_error(device: Device, period_px: float, ratio: float, *, dithered: bool) -> float:

@@ -16,6 +16,7 @@ import pytest
 
 import amslicer
 from amslicer.pipeline import prepare
+from amslicer.profiles import PROFILES
 from amslicer.windows import RatioWindows
 
 PRINTER = {"pitch_um": 97, "layer_um": 97}  # 10.3 pixels per period: in step with nothing
@@ -57,7 +58,7 @@ def shares_and_z(folder: Path, ratio: Any, orientation: Any, profile: str, seed:
         asked += np.diff(until, axis=0)[:, inside].sum(axis=1)
         got += [np.count_nonzero(labels == m + 1) for m in range(len(ratio))]
         windows.add(layer.index, *windows.count(labels, cumulative))
-    z = np.concatenate([level.z.ravel() for level in windows.levels(0.5, profile)])
+    z = np.concatenate([level.z.ravel() for level in windows.levels(0.5, PROFILES[profile])])
     return (got - asked) / got.sum(), z
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import cmath
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
@@ -106,12 +106,6 @@ CASES = [
 # Shares of the materials but the first, whose painted ratio they halve: see make_job and cumulative.
 SHARE = 0.1
 DEFECTS = [case for case in CASES if case.orientation == "painted" and case.bandwidth == 0.5]
-
-
-@pytest.fixture(scope="module")
-def device() -> Iterator[Device]:
-    with Device() as device:
-        yield device
 
 
 @pytest.fixture

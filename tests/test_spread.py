@@ -19,8 +19,9 @@ from scipy import integrate, special
 
 import amslicer
 from amslicer.locking import locked_deviation
+from amslicer.profiles import PROFILES
 from amslicer.reference import symmetric_labels
-from amslicer.spread import amplitudes, harmonic_variance, pixel_deviation, share_deviation, share_limit
+from amslicer.spread import harmonic_variance, pixel_deviation, share_deviation, share_limit
 
 Floats = NDArray[np.float64]
 PITCH = parts.SQUARE["pitch_um"] / 1000  # periods of 1 mm
@@ -68,31 +69,41 @@ def test_amplitudes_are_those_of_the_indicator(low: float, high: float, profile:
     share = np.abs(phase) / np.pi if profile == "symmetric" else phase / (2 * np.pi) % 1
     inside = (share >= low) & (share < high)
     measured = [2 * abs(np.mean(inside * np.exp(1j * h * phase))) for h in range(1, 13)]
-    np.testing.assert_allclose(np.abs(amplitudes(low, high, profile)), measured, atol=1e-4)
+    np.testing.assert_allclose(np.abs(PROFILES[profile].amplitudes(low, high, 12)), measured, atol=1e-4)
 
 
 def test_a_point_is_one_material_or_another() -> None:
     for low, high in (*TWO, *THREE):
         share = high - low
-        got = share_deviation(low, high, profile="pwm", bandwidth=0.5, dimensions=2, window_periods=(1e-3, 1e-3))
+        got = share_deviation(
+            low, high, profile=PROFILES["pwm"], bandwidth=0.5, dimensions=2, window_periods=(1e-3, 1e-3)
+        )
         assert got == pytest.approx(math.sqrt(share * (1 - share)), rel=0.02)
 
 
 def test_windows_broadcast() -> None:
     high = np.linspace(0.1, 0.9, 9)[:, None]
     windows = np.array([(2.0, 3.0), (4.0, 4.0)])
-    got = share_deviation(0, high, profile="pwm", bandwidth=0.5, dimensions=2, window_periods=windows, filled=[1, 0.4])
+    got = share_deviation(
+        0, high, profile=PROFILES["pwm"], bandwidth=0.5, dimensions=2, window_periods=windows, filled=[1, 0.4]
+    )
     assert got.shape == (9, 2)
     np.testing.assert_allclose(got, got[::-1], rtol=1e-9)  # a share and its complement scatter alike
-    one = share_deviation(0, 0.3, profile="pwm", bandwidth=0.5, dimensions=2, window_periods=(4.0, 4.0), filled=0.4)
+    one = share_deviation(
+        0, 0.3, profile=PROFILES["pwm"], bandwidth=0.5, dimensions=2, window_periods=(4.0, 4.0), filled=0.4
+    )
     assert got[2, 1] == pytest.approx(float(one))
 
 
 def test_a_thinner_filling_scatters_more() -> None:
     filled = np.linspace(0.05, 1, 40)
-    got = share_deviation(0, 0.3, profile="pwm", bandwidth=0.5, dimensions=2, window_periods=(4.0, 4.0), filled=filled)
+    got = share_deviation(
+        0, 0.3, profile=PROFILES["pwm"], bandwidth=0.5, dimensions=2, window_periods=(4.0, 4.0), filled=filled
+    )
     assert np.all(np.diff(got) <= 1e-9)
-    assert got[-1] == share_deviation(0, 0.3, profile="pwm", bandwidth=0.5, dimensions=2, window_periods=(4.0, 4.0))
+    assert got[-1] == share_deviation(
+        0, 0.3, profile=PROFILES["pwm"], bandwidth=0.5, dimensions=2, window_periods=(4.0, 4.0)
+    )
 
 
 # --- theory against the engine -----------------------------------------------------------------------------
@@ -149,15 +160,15 @@ def scores(case: Case, periods: float | tuple[float, float, float]) -> Iterator[
         inside = (case.phase >= low) & (case.phase < high)
         error = means(inside, window[::-1]) - (high - low)
         sampling = locked_deviation(
-            low, high, profile="symmetric", cycles_per_pixel=case.normal[:axes] * PITCH, extents_px=window,
+            low, high, profile=PROFILES["symmetric"], cycles_per_pixel=case.normal[:axes] * PITCH, extents_px=window,
             width_per_pixel=case.bandwidth * PITCH,
         )  # fmt: skip
         sigma = share_deviation(
-            low, high, profile="symmetric", bandwidth=case.bandwidth, dimensions=case.dimensions,
+            low, high, profile=PROFILES["symmetric"], bandwidth=case.bandwidth, dimensions=case.dimensions,
             window_periods=sides, normal=case.normal,
         )  # fmt: skip
         limit = share_limit(
-            low, high, profile="symmetric", bandwidth=case.bandwidth, dimensions=case.dimensions,
+            low, high, profile=PROFILES["symmetric"], bandwidth=case.bandwidth, dimensions=case.dimensions,
             window_periods=sides, normal=case.normal, pixels=sampling,
         )  # fmt: skip
         yield error / np.hypot(sigma, sampling), np.abs(error) / limit
@@ -242,14 +253,14 @@ def check_filled(case: Case, masked: str, periods: float) -> None:
     for low, high in (*TWO, *THREE[1:2]):
         got = means(mask & (case.phase >= low) & (case.phase < high), window)[kept] / filled
         sampling = pixel_deviation(
-            low, high, profile="symmetric", dimensions=2, pixels_per_period=1 / PITCH, pixels=filled * math.prod(window)
+            low, high, dimensions=2, pixels_per_period=1 / PITCH, pixels=filled * math.prod(window)
         )
         sigma = share_deviation(
-            low, high, profile="symmetric", bandwidth=case.bandwidth, dimensions=2,
+            low, high, profile=PROFILES["symmetric"], bandwidth=case.bandwidth, dimensions=2,
             window_periods=np.array(window) * PITCH, filled=filled, normal=case.normal,
         )  # fmt: skip
         limit = share_limit(
-            low, high, profile="symmetric", bandwidth=case.bandwidth, dimensions=2,
+            low, high, profile=PROFILES["symmetric"], bandwidth=case.bandwidth, dimensions=2,
             window_periods=np.array(window) * PITCH, filled=filled, normal=case.normal, pixels=sampling,
         )  # fmt: skip
         error = got - (high - low)

@@ -14,6 +14,7 @@ from amslicer.job import Job
 from amslicer.judgement import direction_problems, isotropy_problems, period_problems, ratio_problems
 from amslicer.painted import Painted
 from amslicer.pipeline import prepare
+from amslicer.profiles import PROFILES
 from amslicer.texture import Shown, Texture
 from amslicer.windows import Level, RatioWindows
 
@@ -38,7 +39,7 @@ def grating(grid: Grid, normal: np.ndarray[Any, Any], period_mm: float, share: f
 
 
 def texture(painted: Painted, grid: Grid, labels: np.ndarray[Any, Any]) -> list[Shown]:
-    looked = Texture(painted, grid, NARROW, cyclic=False)
+    looked = Texture(painted, grid, NARROW, PROFILES["pwm"])
     assert looked.usable
     shown = [block for layer, plane in enumerate(labels) for block in looked.add(layer, looked.thin(plane))]
     return [*shown, *looked.finish()]
@@ -105,7 +106,7 @@ def test_windows_count_what_plain_slices_do(tmp_path: Path) -> None:
     for layer, plane in enumerate(labels):
         windows.add(layer, *windows.count(plane, painted.ratio_map(grid, layer)))
     share = 0.2 + 0.6 * grid.x_mm() / 17.0
-    levels = list(windows.levels(0.5, "pwm"))
+    levels = list(windows.levels(0.5, PROFILES["pwm"]))
     assert [level.counts for level in levels] == [(4, 2, 2), (2, 1, 1), (1, 1, 1)]
     for level in levels:
         assert len(level.got) == np.prod(level.counts)

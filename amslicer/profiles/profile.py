@@ -1,0 +1,84 @@
+"""What every profile offers: thresholds for the device, and the Fourier coefficients that verification needs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from typing import Any
+
+    from numpy.typing import ArrayLike, NDArray
+
+    from amslicer.noise import Noise
+
+    Floats = NDArray[np.float64]
+
+ROUNDING = float(np.finfo(np.float32).eps)  # a ratio this close to 0 or 1 is a plain fill
+
+
+@dataclass(frozen=True, eq=False)
+class RankTable:
+    """Ranks of a waveform's values, for the device to look up.
+
+    Attributes:
+        ranks: (levels, samples) float32, 0…1: over the angle's stand-in that cl/deposit.h makes of G, or over Re G from
+            -reach to reach; a row for each level of a blend.
+        reach: of values; 0 where phases are read.
+    """
+
+    ranks: NDArray[np.float32]
+    reach: float
+
+
+class Profile(Protocol):
+    """How a phase becomes one of several materials, whose cumulative ratios are 0 = c0 <= … <= cM = 1."""
+
+    @property
+    def arrows(self) -> bool:
+        """Whether the sign of the phase counts, so that the painted direction must be an arrow."""
+
+    def rank_table(self, noise: Noise) -> RankTable | None:
+        """What the device looks up, or None where it compares keys (cl/deposit.h)."""
+
+    def thresholds(self, cumulative: NDArray[Any]) -> NDArray[np.float32]:
+        """What the device compares with, at cumulative ratios 0…1 of any shape; a plain fill at 0 and 1."""
+
+    def amplitudes(self, low: ArrayLike, high: ArrayLike, harmonics: int) -> Floats:
+        """(..., harmonics) a_h of a material's indicator Σ a_h cos(h ϕ - α_h), h = 1, 2, …
+
+        Args:
+            low, high: the material's cumulative ratios c(m-1) and c(m).
+        """
+
+    def over_values(self, until: Callable[[Floats], Floats], low: ArrayLike, high: ArrayLike) -> Floats:
+        """(levels, ..., n) how much a function of shares of all values grows over a material; of noises read by value.
+
+        Args:
+            until: from shares 0…1 of all values, the highest first, any shape, to (..., n) numbers.
+            low, high: as in amplitudes.
+        """
+
+    def levels(self, shares: Floats, blend: float = 0.0) -> Floats:
+        """(M,) what each of M materials with these shares says of the cosine of the phase.
+
+        Args:
+            blend: where the profile is between two, 0…1.
+        """
+
+
+def plain_fills(
+    cumulative: Floats, thresholds: NDArray[np.float32], never: np.float32, always: np.float32
+) -> NDArray[np.float32]:
+    """Thresholds with plain fills where the cumulative ratio is 0 or 1 within rounding.
+
+    Args:
+        never: what no phase is on the near side of: for a ratio of 0.
+        always: what every phase is on the near side of.
+    """
+    thresholds[cumulative <= ROUNDING] = never
+    thresholds[cumulative >= 1 - ROUNDING] = always
+    return thresholds
