@@ -23,7 +23,6 @@ UNBUILT_KEYS = (
     "exemplar",
     "exemplar_pixel_mm",
     "isotropy_model",
-    "lobes",
     "skin",
     "bodies",
 )
@@ -262,6 +261,19 @@ def _refuse_contradictions(spec: JobFile, origin: Origin) -> None:
             f"pattern.impulses: {pattern.impulses:g}, but phacelle noise has one splat in each of its cells",
             "leave it out",
         )
+    if pattern.lobes and not NOISES[pattern.noise].directed:
+        raise origin.error(
+            ("pattern", "lobes"),
+            f"pattern.lobes: {len(pattern.lobes)} of them, but {pattern.noise} noise has no direction",
+            "leave them out, or use noise: gabor",
+        )
+    for i, lobe in enumerate(pattern.lobes):
+        if pattern.dimensions == 2 and lobe.about != "z":
+            raise origin.error(
+                ("pattern", "lobes", i, "about"),
+                f"pattern.lobes.{i}.about: {lobe.about}, but pattern.dimensions is 2: the same in every layer",
+                "set pattern.dimensions to 3, or turn about z",
+            )
     if NOISES[pattern.noise].reads == "value":
         needs: tuple[tuple[str, bool, Any, Any], ...] = (
             ("profile", make_profile(pattern.profile).arrows, _profile_name(pattern.profile), "pwm"),

@@ -14,6 +14,7 @@ from amslicer.mask import all_solid
 from amslicer.noise import NOISES
 from amslicer.noise.alignment import Alignment
 from amslicer.noise.kernels import Kernels, join_kernels
+from amslicer.noise.lobes import Lobes, make_lobes
 from amslicer.profiles import ROUNDING, make_profile
 from amslicer.tiles import Tiling, all_tiles, choose_tiling
 
@@ -38,8 +39,20 @@ def make_noise(job: Job, painted: Painted) -> Noise:
     given = {} if pattern.impulses is None else {"impulses": pattern.impulses}
     return NOISES[pattern.noise](
         periods_mm=painted.period_bounds_mm, bandwidth=pattern.bandwidth, dimensions=pattern.dimensions,
-        seed=pattern.seed, **given,
+        seed=pattern.seed, lobes=job_lobes(job, painted), **given,
     )  # fmt: skip
+
+
+def job_lobes(job: Job, painted: Painted) -> Lobes | None:
+    """The job's lobes, if it has any, in printer axes: like all directions, they follow the part."""
+    specs = job.spec.pattern.lobes
+    if not specs:
+        return None
+    axes = np.eye(3)[["xyz".index(lobe.about) for lobe in specs]]
+    if painted.dimensions == 3:
+        axes = painted.placement.turn(axes)
+    angles, weights = (np.array([getattr(lobe, name) for lobe in specs]) for name in ("angle", "weight"))
+    return make_lobes(np.deg2rad(angles), axes, weights)
 
 
 class Pattern:

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
     from typing import Any
 
     from numpy.typing import ArrayLike, NDArray
@@ -28,6 +28,8 @@ if TYPE_CHECKING:
     Normal = ArrayLike | Callable[[Floats], Floats]
     # One number for all kernels, or (N, 3) places -> (N,) numbers.
     Scalar = float | Callable[[Floats], Floats]
+    # (angle about z in degrees, weight) of several directions.
+    Lobes = Sequence[tuple[float, float]]
 
 # Philox-4x32-10 (Salmon et al. 2011, "Parallel Random Numbers: As Easy as 1, 2, 3"): multipliers, key steps.
 PHILOX_ROUNDS = 10
@@ -119,7 +121,7 @@ def cut_radius(width: float, dimensions: int, error: float) -> float:
 def phasor(
     x: ArrayLike, y: ArrayLike, z: ArrayLike, *, period: Scalar, bandwidth: float, dimensions: int, seed: int,
     normal: Normal, isotropy: Scalar = 0.0, impulses: float = 4.0, periods: tuple[float, float] | None = None,
-    envelope: Scalar | None = None, reference_normal: ArrayLike | None = None, error: float = 1e-3,
+    lobes: Lobes = (), envelope: Scalar | None = None, reference_normal: ArrayLike | None = None, error: float = 1e-3,
 ) -> Complexes:  # fmt: skip
     """G at any points, kernel by kernel, with box support |x - x_j| < r along each axis.
 
@@ -132,6 +134,7 @@ def phasor(
         normal: unit normals at the kernels' centres: one, or a function of (N, 3) places.
         isotropy: s at the kernels' centres, 0…1.
         impulses: kernels per b^dimensions.
+        lobes: (angle about z in degrees, weight) of the directions at a place, of which each kernel takes one.
         periods: the shortest and the longest p, where it varies. Level l has candidates as dense as P = 2^l shortest
             asks for; where P <= p < 2P they are kernels with probability (P/p)^dimensions.
         envelope: the period that the envelope, density and level follow; default: the period itself.
@@ -167,10 +170,12 @@ def phasor(
         q = p if envelope is None else _at(envelope, places)
         width = bandwidth / q
         radius = cut_radius(1.0, dimensions, error) / width
-        choice = cell_words(drawn, per_cell, seed, CHOICES + LEVEL * level)[..., 0].reshape(-1) / 2.0**WORD_BITS
+        words = cell_words(drawn, per_cell, seed, CHOICES + LEVEL * level).reshape(-1, 4) / 2.0**WORD_BITS
+        choice, lobe = words[:, 0], words[:, 1]
         is_kernel = (least <= q) & (q < 2 * least) & (choice < (least / q) ** dimensions) | (shortest == longest)
         normals = np.broadcast_to(normal(places) if callable(normal) else np.asarray(normal, np.float64), places.shape)
-        waves = turned(normals, _at(isotropy, places), places, width, dimensions, seed) * (2 * np.pi / p)[:, None]
+        directions = _of_lobes(normals, lobe, lobes)
+        waves = turned(directions, _at(isotropy, places), places, width, dimensions, seed) * (2 * np.pi / p)[:, None]
         for cell_of_offset in cell_near.T:
             for m in range(per_cell):
                 j = cell_of_offset[cell_of_point] * per_cell + m
@@ -186,7 +191,7 @@ def phasor(
 
 def phacelle(
     x: ArrayLike, y: ArrayLike, z: ArrayLike, *, period: Scalar, side_mm: float, dimensions: int, seed: int,
-    normal: Normal, isotropy: Scalar = 0.0,
+    normal: Normal, isotropy: Scalar = 0.0, lobes: Lobes = (),
 ) -> Complexes:  # fmt: skip
     """Sampled Phacelle noise: in a window of 4 cells a side around the nearest cell corner, one splat per cell.
 
@@ -195,7 +200,7 @@ def phacelle(
     Args:
         x, y, z: coordinates in mm, which broadcast; z is ignored in 2D.
         side_mm: of a cell.
-        period, normal, isotropy: at the splats, as in `phasor`.
+        period, normal, isotropy, lobes: at the splats, as in `phasor`.
     """
     point = np.stack(np.broadcast_arrays(*(np.asarray(c, np.float64) for c in (x, y, z))), axis=-1)
     shape, point = point.shape[:-1], point.reshape(-1, 3) * ((1, 1, 1) if dimensions == 3 else (1, 1, 0))
@@ -207,7 +212,8 @@ def phacelle(
     places, phases = places[:, 0], phases[:, 0]
     n = np.broadcast_to(normal(places) if callable(normal) else np.asarray(normal, np.float64), places.shape)
     width = np.full(len(places), math.sqrt(2 / math.pi) / side_mm)
-    waves = turned(n, _at(isotropy, places), places, width, dimensions, seed)
+    lobe = cell_words(cells, 1, seed, CHOICES)[:, 0, 1] / 2.0**WORD_BITS
+    waves = turned(_of_lobes(n, lobe, lobes), _at(isotropy, places), places, width, dimensions, seed)
     waves = waves * (2 * np.pi / _at(period, places))[:, None]
     total = np.zeros(len(point), np.complex128)
     for j in splat.reshape(len(point), len(window)).T:
@@ -252,6 +258,25 @@ def isotropic_gabor(
 
 def _at(value: Scalar, places: Floats) -> Floats:
     return np.asarray(value(places) if callable(value) else np.full(len(places), float(value)))
+
+
+def _of_lobes(normal: Floats, choice: Floats, lobes: Lobes) -> Floats:
+    """(N, 3) normals turned by a lobe each, with the signs ±1, ±1 … that make the smallest dot product largest."""
+    if not lobes:
+        return normal
+    angles, weights = np.array(lobes, np.float64).T
+    taken = np.searchsorted(np.cumsum(weights / weights.sum())[:-1], choice, side="right")
+    x, y, z = normal.T
+    turned = [(x * math.cos(a) - y * math.sin(a), x * math.sin(a) + y * math.cos(a), z) for a in np.deg2rad(angles)]
+    u = np.moveaxis(np.array(turned), 1, -1)  # (lobe, kernel, 3)
+    best, most = np.ones((len(lobes), len(normal))), np.full(len(normal), -2.0)
+    for rest in product((1.0, -1.0), repeat=len(lobes) - 1):
+        signs = np.array([1.0, *rest])
+        least = np.min([signs[i] * signs[j] * _dot(u[i], u[j]) for i in range(len(u)) for j in range(i + 1)], axis=0)
+        better = least > most + 1e-9
+        best[:, better], most[better] = signs[:, None], least[better]
+    kernel = np.arange(len(normal))
+    return np.asarray(best[taken, kernel][:, None] * u[taken, kernel])
 
 
 def turned(normal: Floats, isotropy: Floats, place: Floats, width: Floats, dimensions: int, seed: int) -> Floats:

@@ -13,6 +13,7 @@ from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, field_val
 from amslicer.fields import PLANNED, SOURCES, FieldSpec, source_name
 from amslicer.fields.source import Number
 from amslicer.grid import MM_PER_INCH
+from amslicer.noise.lobes import MOST as MAX_LOBES
 from amslicer.profiles.waveforms import SHAPES, Blend, Harmonic, ProfileSpec
 from amslicer.storage import INPUTS, JOB_FILE, MANIFEST
 
@@ -143,6 +144,14 @@ class Material(Model):
         return name
 
 
+class Lobe(Model):
+    """One of several directions that kernels take, relative to the painted one."""
+
+    angle: Number = Field(description="degrees from the painted normal")
+    about: Literal["x", "y", "z"] = Field(default="z", description="the file's axis to turn about; z in 2D")
+    weight: Positive = Field(default=1.0, description="share of the kernels, relative to the other lobes'")
+
+
 class Pattern(Model):
     """The laminate's noise and profile."""
 
@@ -155,6 +164,9 @@ class Pattern(Model):
     )
     alignment: Annotated[Whole, Field(ge=0, le=10_000)] = Field(
         default=0, description="phase-alignment sweeps: 20 leave hardly a sheet that ends inside the part"
+    )
+    lobes: tuple[Lobe, ...] = Field(
+        default=(), max_length=MAX_LOBES, description="several directions at every place; none: the painted one alone"
     )
     evaluate: Literal["lattice", "exact"] = Field(default="lattice", description="how G is computed")
     profile: ProfileSpec = Field(
@@ -283,7 +295,7 @@ def key_paths() -> dict[str, str]:
     found: dict[str, str] = {}
     sections: tuple[tuple[str, type[BaseModel]], ...] = (
         ("", JobFile), ("printer.", Printer), ("part.", PartSettings), ("materials.", Material),
-        ("pattern.", Pattern), ("fields.", Fields), ("fields.orientation.", AzimuthElevation),
+        ("pattern.", Pattern), ("pattern.lobes.", Lobe), ("fields.", Fields), ("fields.orientation.", AzimuthElevation),
         ("fields.orientation.", VectorComponents),
         ("output.", Output), ("gradient.", LinearGradient), ("gradient.", RadialGradient),
         *(("", source) for source in SOURCES.values()),

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from amslicer.grid import Grid
+    from amslicer.noise.lobes import Lobes
     from amslicer.painted import Painted
     from amslicer.profiles import Profile
 
@@ -68,11 +69,14 @@ class Texture:
     """Gathers a stack layer by layer, thinned, and measures its blocks.
 
     Args:
-        bandwidth, profile: of the pattern.
+        bandwidth, profile, lobes: of the pattern.
     """
 
-    def __init__(self, painted: Painted, grid: Grid, bandwidth: float, profile: Profile) -> None:
+    def __init__(
+        self, painted: Painted, grid: Grid, bandwidth: float, profile: Profile, lobes: Lobes | None = None
+    ) -> None:
         self._painted, self._grid, self._bandwidth, self._profile = painted, grid, bandwidth, profile
+        self._lobes = lobes
         self.planar = painted.dimensions == 2
         shortest, longest = painted.period_bounds_mm
         pitch = np.array([*grid.pitch_mm, grid.layer_mm])
@@ -187,12 +191,16 @@ class Texture:
             slope = np.diff(window, axis=axis, prepend=0, append=0) / steps[axis]
             spread.append((slope**2).sum() / (4 * np.pi**2 * (window**2).sum()) if window.shape[axis] > 1 else 0.0)
         power = np.zeros(len(f))
-        for n, s, p in zip(normals, isotropies, periods, strict=True):
+        directions, shares = normals[:, None], np.ones(1)
+        if self._lobes is not None:
+            directions, shares = self._lobes.all_directions(normals), self._lobes.shares
+        for lobes, s, p in zip(directions, isotropies, periods, strict=True):
             variance = (self._bandwidth / p) ** 2 / (4 * np.pi) + np.array(spread[::-1])
-            for direction, weight in _spread_normals(n, float(s), self.planar):
-                for sign in (1, -1):
-                    d2 = ((f - sign * direction / p) ** 2 / variance).sum(axis=1)
-                    power += weight * np.exp(-d2 / 2)
+            for n, share in zip(lobes, shares, strict=True):
+                for direction, weight in _spread_normals(n, float(s), self.planar):
+                    for sign in (1, -1):
+                        d2 = ((f - sign * direction / p) ** 2 / variance).sum(axis=1)
+                        power += share * weight * np.exp(-d2 / 2)
         return power
 
 

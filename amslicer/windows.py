@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from amslicer.levelspread import level_deviation, level_limit
+from amslicer.lobespread import resonance_deviation
 from amslicer.locking import locked_deviation
 from amslicer.spread import ALIGNED_SHARE, pixel_deviation, share_deviation, share_limit
 
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from amslicer.grid import Grid
+    from amslicer.noise.lobes import Lobes
     from amslicer.painted import Painted
     from amslicer.profiles import Profile
 
@@ -105,12 +107,19 @@ class RatioWindows:
         self._layers[z] += bool(np.any(got))
 
     def levels(
-        self, bandwidth: float, profile: Profile, *, values: bool = False, aligned: bool = False
+        self,
+        bandwidth: float,
+        profile: Profile,
+        *,
+        values: bool = False,
+        aligned: bool = False,
+        lobes: Lobes | None = None,
     ) -> Iterator[Level]:
         """The windows of each size, from the leaves to the whole part.
 
         Args:
             values: materials follow from Gaussian values, not from phases.
+            lobes: of the pattern's kernels; the worst of them is expected, and their resonances.
             aligned: phases are: oblique laminates then scatter less, sheets that run along a window's side more, as
                 those of a grating do. The larger is expected.
         """
@@ -118,7 +127,7 @@ class RatioWindows:
         bandwidths = (bandwidth, ALIGNED_SHARE * bandwidth) if aligned else (bandwidth,)
         edges = [e.astype(float) for e in self._edges]
         while True:
-            level = self._level(got, asked, edges, bandwidths, profile, values)
+            level = self._level(got, asked, edges, bandwidths, profile, values, lobes)
             if level is not None:
                 yield level
             if all(len(e) == 2 for e in edges):
@@ -142,6 +151,7 @@ class RatioWindows:
         bandwidths: tuple[float, ...],
         profile: Profile,
         values: bool,
+        lobes: Lobes | None,
     ) -> Level | None:
         pitch = np.array([*self._grid.pitch_mm, self._grid.layer_mm])
         pixels = np.einsum("i,j,k->kji", *(np.diff(e) for e in edges))
@@ -161,7 +171,7 @@ class RatioWindows:
             low[:, 2], high[:, 2] = 0.0, self._grid.layers * self._grid.layer_mm
         of_window = solid[z, y, x][:, None]
         got_share, asked_share = (np.moveaxis(c[:, z, y, x], 0, -1) / of_window for c in (got, asked))
-        laws = [self._spread(low, high, asked_share, filled[z, y, x], b, profile, values) for b in bandwidths]
+        laws = [self._spread(low, high, asked_share, filled[z, y, x], b, profile, values, lobes) for b in bandwidths]
         sigma, limit = (np.max(found, axis=0) for found in zip(*laws, strict=True))
         counts = tuple(len(e) - 1 for e in edges)
         return Level(low, high, got_share, asked_share, sigma, limit, place, (counts[0], counts[1], counts[2]))
@@ -175,6 +185,7 @@ class RatioWindows:
         bandwidth: float,
         profile: Profile,
         values: bool,
+        lobes: Lobes | None,
     ) -> tuple[Floats, Floats]:
         """(W, materials) standard deviations and limits."""
         axes = 2 if self.planar else 3
@@ -191,25 +202,40 @@ class RatioWindows:
         }  # fmt: skip
         # What a wider period does just beside a window reaches into it: the widest in or at it makes the limit.
         widest = {**law, "window_periods": (sides_mm / self._widest(low_mm, high_mm)[:, None])[:, None]}
-        sigmas, limits = [], []
-        for share in self._places():
-            # Sheets along a window's side are cut in phase only where they run along all of it.
-            normal = self._painted.normals(low_mm + share * (high_mm - low_mm))
+
+        def of_direction(normal: Floats, resonance: Floats | float) -> tuple[Floats, Floats]:
             if values:
                 pixel = pixel_deviation(
                     below, until, dimensions=axes,
                     pixels_per_period=period / pitch.max(), pixels=np.prod(sides_mm / pitch, axis=1)[:, None],
                 )  # fmt: skip
-                sigmas.append(np.hypot(level_deviation(below, until, **law, normal=normal[:, None]), pixel))
-                limits.append(level_limit(below, until, **widest, normal=normal[:, None], pixels=pixel))
+                deviation, limit = level_deviation, level_limit
+            else:
+                pixel = locked_deviation(
+                    below, until, profile=profile, cycles_per_pixel=(normal[:, :axes] * pitch / period)[:, None],
+                    extents_px=(sides_mm / pitch)[:, None], width_per_pixel=bandwidth * pitch / period.mean(),
+                )  # fmt: skip
+                deviation, limit = share_deviation, share_limit
+            beside = np.hypot(pixel, resonance)
+            sigma = np.hypot(deviation(below, until, **law, normal=normal[:, None]), beside)
+            return sigma, limit(below, until, **widest, normal=normal[:, None], pixels=beside)
+
+        found = []
+        for share in self._places():
+            # Sheets along a window's side are cut in phase only where they run along all of it.
+            normal = self._painted.normals(low_mm + share * (high_mm - low_mm))
+            if lobes is None:
+                found.append(of_direction(normal, 0.0))
                 continue
-            pixel = locked_deviation(
-                below, until, profile=profile, cycles_per_pixel=(normal[:, :axes] * pitch / period)[:, None],
-                extents_px=(sides_mm / pitch)[:, None], width_per_pixel=bandwidth * pitch / period.mean(),
+            directions = lobes.all_directions(normal)
+            resonance = resonance_deviation(
+                below, until, lobes=directions, shares=lobes.shares, bandwidth=bandwidth,
+                window_periods=sides_mm / period,
             )  # fmt: skip
-            sigmas.append(np.hypot(share_deviation(below, until, **law, normal=normal[:, None]), pixel))
-            limits.append(share_limit(below, until, **widest, normal=normal[:, None], pixels=pixel))
-        sigma, limit = (np.sqrt(np.mean(np.square(values), axis=0)) for values in (sigmas, limits))
+            each = [of_direction(directions[:, i], resonance) for i in range(directions.shape[1])]
+            sigmas, limits = zip(*each, strict=True)
+            found.append((np.max(sigmas, axis=0), np.max(limits, axis=0)))
+        sigma, limit = (np.sqrt(np.mean(np.square(some), axis=0)) for some in zip(*found, strict=True))
         return sigma, limit
 
     def _widest(self, low_mm: Floats, high_mm: Floats) -> Floats:

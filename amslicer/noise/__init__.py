@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import ArrayLike, NDArray
 
+    from amslicer.noise.lobes import Lobes
+    from amslicer.reference import Lobes as RelativeLobes
     from amslicer.reference import Scalar
 
 
@@ -31,9 +33,10 @@ class Maker(Protocol):
         """Whether it follows the painted direction; else it is isotropic everywhere."""
 
     def __call__(
-        self, *, periods_mm: tuple[float, float], bandwidth: float, dimensions: int, seed: int, impulses: float = ...
-    ) -> Noise:
-        """The noise with its parameters; impulses have a default per noise."""
+        self, *, periods_mm: tuple[float, float], bandwidth: float, dimensions: int, seed: int, impulses: float = ...,
+        lobes: Lobes | None = ...,
+    ) -> Noise:  # fmt: skip
+        """The noise with its parameters; impulses have a default per noise, lobes are none."""
 
 
 NOISES: dict[str, Maker] = {
@@ -49,7 +52,7 @@ __all__ = ["NOISES", "Kernels", "Noise", "sample"]
 def sample(
     name: str, x: ArrayLike, y: ArrayLike, z: ArrayLike = 0.0, *, period: Scalar = 1.0, bandwidth: float = 0.5,
     orientation: Scalar = 0.0, elevation: Scalar = 0.0, isotropy: Scalar = 0.0, seed: int = 1,
-    dimensions: int | None = None, impulses: float | None = None,
+    dimensions: int | None = None, impulses: float | None = None, lobes: RelativeLobes = (),
 ) -> NDArray[np.complex128]:  # fmt: skip
     """A noise's complex field G at any points, in plain float64: no part, no file, no device.
 
@@ -70,6 +73,7 @@ def sample(
         seed: 0 … 2^64 - 1.
         dimensions: 2 or 3; default 3 where z or elevation is given, else 2.
         impulses: Λ, kernels per B^dimensions; default: the noise's. Not of phacelle.
+        lobes: several directions at a place, as (degrees about z from the painted normal, weight); at most 8.
 
     Returns:
         complex128, in the coordinates' common shape.
@@ -81,5 +85,5 @@ def sample(
 
     return sampled(
         name, x, y, z, period=period, bandwidth=bandwidth, orientation=orientation, elevation=elevation,
-        isotropy=isotropy, seed=seed, dimensions=dimensions, impulses=impulses,
+        isotropy=isotropy, seed=seed, dimensions=dimensions, impulses=impulses, lobes=lobes,
     )  # fmt: skip

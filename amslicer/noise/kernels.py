@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 WORD = 2.0**-32  # random words to [0, 1)
 # The fourth word of a counter says what its random words are for: no two uses can share a stream.
-# + 65536 × level + number in the cell: place and phase of an impulse; whether a candidate is one.
+# + 65536 × level + number in the cell: place and phase of an impulse; whether a candidate is one, and its lobe.
 IMPULSES, CHOICE = 0, 1 << 30
 LEVEL = 1 << 16
 TURN_PLACES, TURN_WEIGHTS = 2 << 30, 3 << 30  # + 256 × level (8 bits) + number in the cell: amslicer/noise/turn.py
@@ -187,16 +187,16 @@ class Cells:
         return range(math.floor(low_z_mm / self.side_mm), math.floor(high_z_mm / self.side_mm) + 1)
 
     def impulses(
-        self, draw: Generator, seed: int, cell_layer: int, low_mm: Floats, high_mm: Floats, *, thinned: bool
+        self, draw: Generator, seed: int, cell_layer: int, low_mm: Floats, high_mm: Floats, *, choices: bool
     ) -> tuple[Floats, Floats, Floats]:
         """The candidates of one layer of cells within a rectangle, in cell order.
 
         Args:
-            thinned: whether some will be left out.
+            choices: whether choices are drawn, which cost as much as the rest.
 
         Returns:
-            Places (N, 3) in mm; phases (N,) in rad; choices (N,), uniform in [0, 1), or 0 where none is left out: those
-            below a share are taken.
+            Places (N, 3) in mm; phases (N,) in rad; choices (N, 2), uniform in [0, 1): whether a candidate is taken,
+            and its lobe; 0 where none are drawn.
         """
         first = np.floor(low_mm / self.side_mm).astype(int)
         count = np.floor(high_mm / self.side_mm).astype(int) + 1 - first
@@ -206,9 +206,9 @@ class Cells:
         cell = np.stack([x, y, z], axis=-1)[:, :, :, None, :]
         place = ((cell + words[..., :3] * WORD) * self.side_mm).reshape(-1, 3)
         phase = words[..., 3].astype(np.float64).reshape(-1) * (WORD * 2 * np.pi)
-        choice = np.zeros(len(phase))
-        if thinned:
-            choice += draw.words(*box, CHOICE + LEVEL * self.level)[..., 0].reshape(-1) * WORD
+        choice = np.zeros((len(phase), 2))
+        if choices:
+            choice += draw.words(*box, CHOICE + LEVEL * self.level)[..., :2].reshape(-1, 2) * WORD
         if self.dimensions == 2:
             place[:, 2] = 0.0
         inside = np.all((place[:, :2] > low_mm) & (place[:, :2] < high_mm), axis=1)

@@ -75,9 +75,14 @@ class Phacelle(Phasor):
     def kernels(self, draw: Generator, cell_layer: CellLayer, low_mm: Floats, high_mm: Floats, paint: Paint) -> Kernels:
         """The splats of one layer of cells that reach a rectangle, in cell order."""
         reach = self.radius_mm
-        place, phase, _ = self.cells(0).impulses(
-            draw, self.seed, cell_layer[1], low_mm - reach, high_mm + reach, thinned=False
+        place, phase, choice = self.cells(0).impulses(
+            draw,
+            self.seed,
+            cell_layer[1],
+            low_mm - reach,
+            high_mm + reach,
+            choices=self.lobes is not None,
         )
         period = np.clip(paint.periods(place), *self.periods_mm)
         width, radius = (np.full(len(place), v) for v in (sqrt(CELL_SQUARED) / self.side_mm, reach))
-        return self._painted(draw, paint, place, phase, period, width, radius)
+        return self._painted(draw, paint, place, phase, choice[:, 1], period, width, radius)

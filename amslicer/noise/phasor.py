@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from amslicer.noise.kernels import CellLayer, Generator, Paint
+    from amslicer.noise.lobes import Lobes
 
     Floats = NDArray[np.float64]
 
@@ -46,6 +47,7 @@ class Phasor:
         dimensions: 2 or 3.
         seed: 0 … 2^64 - 1.
         impulses: kernels per b^dimensions.
+        lobes: several directions at a place; None: the painted one.
     """
 
     periods_mm: tuple[float, float]
@@ -53,6 +55,7 @@ class Phasor:
     dimensions: int
     seed: int
     impulses: float = DEFAULT_IMPULSES
+    lobes: Lobes | None = None
     reads: ClassVar[str] = "phase"
     directed: ClassVar[bool] = True
 
@@ -104,25 +107,33 @@ class Phasor:
         shortest, longest = self.periods_mm
         farthest = self._reach(level)
         place, phase, choice = self.cells(level).impulses(
-            draw, self.seed, number, low_mm - farthest, high_mm + farthest, thinned=shortest < longest
+            draw,
+            self.seed,
+            number,
+            low_mm - farthest,
+            high_mm + farthest,
+            choices=shortest < longest or self.lobes is not None,
         )
         period = np.clip(paint.periods(place), shortest, longest)  # bounds may differ from values by rounding
         envelope = np.clip(paint.envelope_periods(place, period), shortest, period)
         radius = self.radius_mm * (envelope / longest)
         taken = self._level(envelope) == level
-        taken &= choice < (shortest * 2**level / envelope) ** self.dimensions
+        taken &= choice[:, 0] < (shortest * 2**level / envelope) ** self.dimensions
         taken &= np.all((place[:, :2] + radius[:, None] > low_mm) & (place[:, :2] - radius[:, None] < high_mm), axis=1)
-        place, phase, period, envelope, radius = (a[taken] for a in (place, phase, period, envelope, radius))
-        return self._painted(draw, paint, place, phase, period, self.bandwidth / envelope, radius)
+        place, phase, lobe, period, envelope, radius = (
+            a[taken] for a in (place, phase, choice[:, 1], period, envelope, radius)
+        )
+        return self._painted(draw, paint, place, phase, lobe, period, self.bandwidth / envelope, radius)
 
     def _painted(
-        self, draw: Generator, paint: Paint, place: Floats, phase: Floats, period: Floats, width: Floats, radius: Floats
-    ) -> Kernels:
-        """Kernels at places, with the direction painted there, turned as isotropy says."""
+        self, draw: Generator, paint: Paint, place: Floats, phase: Floats, lobe: Floats, period: Floats, width: Floats,
+        radius: Floats,
+    ) -> Kernels:  # fmt: skip
+        """Kernels at places, with the direction painted there, turned as lobes and isotropy say."""
         normal = paint.normals(place)
-        direction = normal
+        direction = normal if self.lobes is None else self.lobes.directions(normal, lobe)
         if not paint.is_laminate:
-            direction = turned(normal, paint.isotropies(place), place, width, self.dimensions, self.seed, draw)
+            direction = turned(direction, paint.isotropies(place), place, width, self.dimensions, self.seed, draw)
         return Kernels(
             centre_mm=place,
             wave=direction * (2 * np.pi / period)[:, None],

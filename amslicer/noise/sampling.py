@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from numbers import Integral, Real
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from amslicer.specification import MAX_SEED
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
-    from amslicer.reference import Scalar
+    from amslicer.reference import Lobes, Scalar
 
     Floats = NDArray[np.float64]
 
@@ -27,7 +27,7 @@ ROOM = 1.25  # that the bounds get beyond what was seen
 
 def sample(
     name: str, x: ArrayLike, y: ArrayLike, z: ArrayLike, *, period: Scalar, bandwidth: float, orientation: Scalar,
-    elevation: Scalar, isotropy: Scalar, seed: int, dimensions: int | None, impulses: float | None,
+    elevation: Scalar, isotropy: Scalar, seed: int, dimensions: int | None, impulses: float | None, lobes: Lobes,
 ) -> NDArray[np.complex128]:  # fmt: skip
     """As amslicer.noise.sample says."""
     if name not in NOISES:
@@ -52,12 +52,16 @@ def sample(
         if not isinstance(value, Real) or not accepted(value):
             hint = "give a number, or a function of (N, 3) places" if paintable else "give one number"
             raise UsageError(f"{key} is {value!r}; it is {said}", hint=hint)
+    if lobes and not NOISES[name].directed:
+        raise UsageError(f"lobes are {lobes!r}, but {name} has no direction", hint="leave them out")
+    if any(not np.isfinite(angle) or not 0 < weight < np.inf for angle, weight in lobes):
+        raise UsageError(
+            f"lobes are {lobes!r}; each is (degrees, weight above 0)", hint="for example [(0, 1), (90, 1)]"
+        )
     points = np.stack(np.broadcast_arrays(*(np.asarray(c, np.float64) for c in (x, y, z))), axis=-1).reshape(-1, 3)
     periods = _bounds(period, points) if callable(period) else (float(period), float(period))
-    noise = NOISES[name](
-        periods_mm=periods, bandwidth=bandwidth, dimensions=dimensions, seed=seed,
-        **({} if impulses is None else {"impulses": impulses}),
-    )  # fmt: skip
+    given: dict[str, Any] = {} if impulses is None else {"impulses": impulses}
+    noise = NOISES[name](periods_mm=periods, bandwidth=bandwidth, dimensions=dimensions, seed=seed, **given)
 
     def normal(places: Floats) -> Floats:
         azimuth, tilt = (np.deg2rad(v(places) if callable(v) else v) for v in (orientation, elevation))
@@ -70,7 +74,7 @@ def sample(
     if isinstance(noise, Phacelle):
         return reference.phacelle(
             x, y, z, period=clipped, side_mm=noise.side_mm, dimensions=dimensions, seed=seed, normal=normal,
-            isotropy=isotropy,
+            isotropy=isotropy, lobes=lobes,
         )  # fmt: skip
     if isinstance(noise, IsotropicGabor):
         if callable(period):
@@ -81,7 +85,7 @@ def sample(
         )  # fmt: skip
     return reference.phasor(
         x, y, z, period=clipped, bandwidth=bandwidth, dimensions=dimensions, seed=seed, normal=normal,
-        isotropy=isotropy, impulses=noise.impulses, periods=periods,
+        isotropy=isotropy, impulses=noise.impulses, periods=periods, lobes=lobes,
     )  # fmt: skip
 
 
