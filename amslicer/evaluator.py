@@ -9,6 +9,8 @@ import numpy as np
 from amslicer.tiles import TileLists, Tiling, reach, tile_lists
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from numpy.typing import NDArray
 
     from amslicer.device import Device
@@ -18,6 +20,7 @@ if TYPE_CHECKING:
 
 ROWS = 4  # rows of nodes per work-item: with 8-float vectors, 8 accumulators of 16 registers
 BLOCK = 24  # kernels staged at a time: with the sums of a tile they fit the first-level cache (32 kB)
+WAVES_BYTES = 16 << 20  # of directions at nodes that are made at a time
 # cl/tile.h: struct Axis
 AXIS = np.dtype([("offset", np.float32), ("wave", np.float32), ("tile", np.int32), ("table", np.uint32)])
 
@@ -43,16 +46,19 @@ class Evaluator:
         planar: 2D: the kernels do not know z.
         envelope: of kernels that are no products along the axes: values over (|d|/radius)², evenly from 0 to 1, the
             last one 0. None: Gaussians.
+        waves_at: of kernels that take the direction of the place: (N, 3) wave vectors, rad/mm, at (N, 3) places.
     """
 
     def __init__(
         self, device: Device, kernels: Kernels, tiles: NDArray[np.int32], tile_normals: Floats,
         tiling: Tiling, block: int, *, planar: bool, envelope: NDArray[np.float32] | None = None,
+        waves_at: Callable[[Floats], Floats] | None = None,
     ) -> None:  # fmt: skip
         self.device = device
         self.kernels = kernels
         self.planar = planar
         self._envelope = envelope
+        self._waves_at = waves_at
         self.tiling = tiling
         self._nodes = tiling.nodes[0].count
         self._base_mm = block * tiling.nodes[2].side_mm + tiling.nodes[2].start_mm
@@ -64,7 +70,7 @@ class Evaluator:
         self._axes = [device.buffer(self._axis(a)) for a in (0, 1)]
         self._lists = [device.buffer(a) for a in (self.lists.tiles, self.lists.starts, self.lists.entries)]
         self._tables: list[Any] | None = None
-        self._radial: list[Any] | None = None
+        self._radial: tuple[Any, Any] | None = None
         self._along: tuple[tuple[int, int], Any] | None = None
 
     @property
@@ -91,6 +97,9 @@ class Evaluator:
         out = out or self.device.scratch("field", 8 * count * len(some) * self._nodes**2)
         if needed is None:
             needed = self.device.buffer(np.full((len(self.lists.tiles), count), 0xFF, np.uint8))
+        if self._waves_at is not None:
+            self._enqueue_simple(out, first, count, some, needed)
+            return out, np.arange(len(some), dtype=np.uint32)
         if self._envelope is not None:
             self._enqueue_radial(out, first, count, some, needed)
             return out, np.arange(len(some), dtype=np.uint32)
@@ -108,19 +117,60 @@ class Evaluator:
     def _enqueue_radial(self, out: Any, first: int, count: int, some: range, needed: Any) -> None:
         if not len(some):
             return
-        assert self._envelope is not None
         tiles, starts, entries = self._lists
-        kernels, device = self.kernels, self.device
+        self.device.kernel("radial", self._work_shape)(
+            self.device.queue, (count, len(some)), (1, 1), out, tiles, needed, starts, entries, *self._axes,
+            *self._shapes(), *self._places(first), np.uint32(some.start),
+        )  # fmt: skip
+
+    def _enqueue_simple(self, out: Any, first: int, count: int, some: range, needed: Any) -> None:
+        """The same with the direction of each node, some tiles at a time: their waves are made here."""
+        tiles, starts, entries = self._lists
+        device, nodes = self.device, self._nodes
+        normals = np.pad(self.kernels.normal, ((0, 0), (0, 1))).astype(np.float32)
+        shapes, table = self._shapes()
+        at_once = max(1, WAVES_BYTES // (12 * count * nodes**2))
+        for start in range(some.start, some.stop, at_once):
+            here = range(start, min(some.stop, start + at_once))
+            device.kernel("simple", self._work_shape)(
+                device.queue, (count, len(here)), (1, 1), out, tiles, needed, starts, entries, *self._axes,
+                shapes, device.buffer(normals), device.buffer(self._waves(first, count, here)), table,
+                *self._places(first), np.uint32(start), np.uint32(len(some)), np.uint32(start - some.start),
+            )  # fmt: skip
+
+    def _waves(self, first: int, count: int, some: range) -> NDArray[np.float32]:
+        """(planes, tiles, rows, 3, columns) wave vectors at the nodes, rad/mm."""
+        assert self._waves_at is not None
+        x, y, z = self.tiling.nodes
+        step = np.arange(self._nodes)
+        columns, rows = self.lists.tiles[some.start : some.stop].T
+        height = self._base_mm + (first + np.arange(count)) * z.step_mm
+        across = columns[:, None] * x.side_mm + x.start_mm + step * x.step_mm
+        down = rows[:, None] * y.side_mm + y.start_mm + step * y.step_mm
+        shape = (count, len(some), self._nodes, self._nodes)
+        places = np.stack(np.broadcast_arrays(
+            across[None, :, None, :], down[None, :, :, None], height[:, None, None, None]
+        ), axis=-1)  # fmt: skip
+        waves = self._waves_at(places.reshape(-1, 3)).reshape(*shape, 3)
+        return np.ascontiguousarray(np.swapaxes(waves, -1, -2).astype(np.float32))
+
+    def _shapes(self) -> tuple[Any, Any]:
+        """What cl/radial.cl knows of the kernels: height, wave along z, phase, radius; and their envelope."""
+        assert self._envelope is not None
+        kernels = self.kernels
         if self._radial is None:
             columns = (self._base_mm - kernels.centre_mm[:, 2], kernels.wave[:, 2], kernels.phase, kernels.radius_mm)
             table = np.append(self._envelope, 0).astype(np.float32)
-            self._radial = [device.buffer(np.stack(columns, axis=-1).astype(np.float32)), device.buffer(table)]
+            buffer = self.device.buffer
+            self._radial = buffer(np.stack(columns, axis=-1).astype(np.float32)), buffer(table)
+        return self._radial
+
+    def _places(self, first: int) -> tuple[Any, ...]:
+        """What cl/radial.cl knows of the nodes."""
+        assert self._envelope is not None
         places = [np.array([n.step_mm, n.start_mm, n.side_mm, 0], np.float32) for n in self.tiling.nodes[:2]]
-        device.kernel("radial", self._work_shape)(
-            device.queue, (count, len(some)), (1, 1), out, tiles, needed, starts, entries, *self._axes, *self._radial,
-            np.uint32(len(self._envelope) - 1), *places, np.float32(self.tiling.nodes[2].step_mm), np.uint32(first),
-            np.uint32(self.planar), np.uint32(some.start),
-        )  # fmt: skip
+        step = np.float32(self.tiling.nodes[2].step_mm)
+        return np.uint32(len(self._envelope) - 1), *places, step, np.uint32(first), np.uint32(self.planar)
 
     def field_per_pixel(self, first: int, count: int) -> tuple[Any, NDArray[np.uint32]]:
         """The same G of all tiles, whose nodes are pixels, with exponential, sine and cosine of each kernel at each."""

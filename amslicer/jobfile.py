@@ -255,17 +255,19 @@ def _refuse_contradictions(spec: JobFile, origin: Origin) -> None:
     from amslicer.specification import AzimuthElevation, VectorComponents
 
     pattern, fields = spec.pattern, spec.fields
-    if pattern.noise == "phacelle" and pattern.impulses is not None:
+    if pattern.noise.startswith("phacelle") and pattern.impulses is not None:
         raise origin.error(
             ("pattern", "impulses"),
-            f"pattern.impulses: {pattern.impulses:g}, but phacelle noise has one splat in each of its cells",
+            f"pattern.impulses: {pattern.impulses:g}, but {pattern.noise} noise has one splat in each of its cells",
             "leave it out",
         )
-    if pattern.lobes and not NOISES[pattern.noise].directed:
+    kind = NOISES[pattern.noise]
+    if pattern.lobes and (kind.at_nodes or not kind.directed):
+        has = "reads its direction at each pixel" if kind.directed else "has no direction"
         raise origin.error(
             ("pattern", "lobes"),
-            f"pattern.lobes: {len(pattern.lobes)} of them, but {pattern.noise} noise has no direction",
-            "leave them out, or use noise: gabor",
+            f"pattern.lobes: {len(pattern.lobes)} of them, but {pattern.noise} noise {has}",
+            f"leave them out, or use noise: {'phacelle' if kind.directed else 'gabor'}",
         )
     for i, lobe in enumerate(pattern.lobes):
         if pattern.dimensions == 2 and lobe.about != "z":

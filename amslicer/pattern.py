@@ -225,8 +225,12 @@ class Pattern:
         kernels = self._kernels(low, high, base + along_z.start_mm, base + along_z.end_mm)
         normals = self.painted.normals(self._centres(tiling, tiles, block))
         return Evaluator(
-            self.device, kernels, tiles, normals, tiling, block, planar=self.planar, envelope=self.noise.envelope
-        )
+            self.device, kernels, tiles, normals, tiling, block, planar=self.planar, envelope=self.noise.envelope,
+            waves_at=self._waves_at if self.noise.at_nodes else None,
+        )  # fmt: skip
+
+    def _waves_at(self, places_mm: Floats) -> Floats:
+        return self.noise.waves_at(self._generator, self.painted, places_mm)
 
     def waves(self, tiles: NDArray[np.int32], block: int) -> NDArray[np.float32]:
         """(T, 4) the painted wave at the tiles' centres, in rad per column, row and layer; 0 where edges are sharp."""

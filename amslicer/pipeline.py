@@ -22,6 +22,7 @@ from amslicer.lattice import Lattice, choose_lattice
 from amslicer.layer import Bitmaps, Layer
 from amslicer.mask import Slicer, join_runs, make_slicer
 from amslicer.mesh import Mesh, read_mesh
+from amslicer.noise import NOISES
 from amslicer.notes import notes_of
 from amslicer.painted import Painted, open_fields
 from amslicer.pattern import Pattern, make_noise
@@ -124,7 +125,7 @@ def prepare(job: Job) -> Prepared:
     if make_profile(spec.pattern.profile).arrows:
         refuse_lines(painted)
     lattice = None
-    if spec.pattern.evaluate == "lattice":
+    if spec.pattern.evaluate == "lattice" and not NOISES[spec.pattern.noise].at_nodes:
         lattice = choose_lattice(
             grid, painted.period_bounds_mm, spec.pattern.bandwidth, tile_periods=_tile_periods(job, painted),
             planar=spec.pattern.dimensions == 2,

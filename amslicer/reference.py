@@ -191,9 +191,9 @@ def phasor(
 
 def phacelle(
     x: ArrayLike, y: ArrayLike, z: ArrayLike, *, period: Scalar, side_mm: float, dimensions: int, seed: int,
-    normal: Normal, isotropy: Scalar = 0.0, lobes: Lobes = (),
+    normal: Normal, isotropy: Scalar = 0.0, lobes: Lobes = (), simple: bool = False,
 ) -> Complexes:  # fmt: skip
-    """Sampled Phacelle noise: in a window of 4 cells a side around the nearest cell corner, one splat per cell.
+    """Phacelle noise: in a window of 4 cells a side around the nearest cell corner, one splat per cell.
 
     Σ_j max(0, exp(-2 d_j²) - exp(-4.5)) exp(i (k_j·(x - x_j) + φ_j)), d_j in cells; the φ_j are random, unlike there.
 
@@ -201,6 +201,7 @@ def phacelle(
         x, y, z: coordinates in mm, which broadcast; z is ignored in 2D.
         side_mm: of a cell.
         period, normal, isotropy, lobes: at the splats, as in `phasor`.
+        simple: at the points instead; a splat whose own normal points against a point's has the phase -φ_j there.
     """
     point = np.stack(np.broadcast_arrays(*(np.asarray(c, np.float64) for c in (x, y, z))), axis=-1)
     shape, point = point.shape[:-1], point.reshape(-1, 3) * ((1, 1, 1) if dimensions == 3 else (1, 1, 0))
@@ -216,10 +217,15 @@ def phacelle(
     waves = turned(_of_lobes(n, lobe, lobes), _at(isotropy, places), places, width, dimensions, seed)
     waves = waves * (2 * np.pi / _at(period, places))[:, None]
     total = np.zeros(len(point), np.complex128)
+    if simple:
+        own = np.broadcast_to(normal(point) if callable(normal) else np.asarray(normal, np.float64), point.shape)
+        own = turned(own, _at(isotropy, point), point, np.full(len(point), width[0]), dimensions, seed)
+        k = own * (2 * np.pi / _at(period, point))[:, None]
     for j in splat.reshape(len(point), len(window)).T:
         d = point - places[j]
         weight = np.maximum(0, np.exp(-2 * _dot(d, d) / side_mm**2) - math.exp(-4.5))
-        total += weight * np.exp(1j * (_dot(waves[j], d) + phases[j]))
+        phase = np.where(_dot(k, n[j]) < 0, -phases[j], phases[j]) if simple else phases[j]
+        total += weight * np.exp(1j * (_dot(k if simple else waves[j], d) + phase))
     return total.reshape(shape)
 
 

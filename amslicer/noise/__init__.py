@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Protocol
 
 from amslicer.noise.gabor import Gabor, IsotropicGabor
 from amslicer.noise.kernels import Kernels, Noise
-from amslicer.noise.phacelle import Phacelle
+from amslicer.noise.phacelle import Phacelle, SimplePhacelle
 from amslicer.noise.phasor import Phasor
 
 if TYPE_CHECKING:
@@ -32,6 +32,10 @@ class Maker(Protocol):
     def directed(self) -> bool:
         """Whether it follows the painted direction; else it is isotropic everywhere."""
 
+    @property
+    def at_nodes(self) -> bool:
+        """As of Noise."""
+
     def __call__(
         self, *, periods_mm: tuple[float, float], bandwidth: float, dimensions: int, seed: int, impulses: float = ...,
         lobes: Lobes | None = ...,
@@ -44,6 +48,7 @@ NOISES: dict[str, Maker] = {
     "gabor": Gabor,
     "gabor-isotropic": IsotropicGabor,
     "phacelle": Phacelle,
+    "phacelle-simple": SimplePhacelle,
 }
 
 __all__ = ["NOISES", "Kernels", "Noise", "sample"]

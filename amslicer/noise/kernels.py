@@ -118,6 +118,8 @@ class Noise(Protocol):
         impulses: kernels per bandwidth^dimensions.
         envelope: of kernels that are no products along the axes: values over (|d|/radius)², evenly from 0 to 1, the
             last one 0. None: Gaussians.
+        at_nodes: whether kernels take the direction of the place where G is asked for (`waves_at`), not that of their
+            centres: G is then not band-limited.
         reads: "phase": materials follow from arg G, which is uniform; "value": from Re G, by its `levels_of`.
     """
 
@@ -126,6 +128,9 @@ class Noise(Protocol):
 
     @property
     def reads(self) -> str: ...
+
+    @property
+    def at_nodes(self) -> bool: ...
 
     @property
     def envelope(self) -> NDArray[np.float32] | None: ...
@@ -144,6 +149,9 @@ class Noise(Protocol):
 
     def levels_of(self, cumulative: NDArray[Any]) -> Floats:
         """The values of Re G that shares of all values, 0…1, lie above; of noises whose value is read."""
+
+    def waves_at(self, draw: Generator, paint: Paint, places_mm: Floats) -> Floats:
+        """(N, 3) wave vectors, rad/mm, at (N, 3) places; of noises whose direction is that of the place."""
 
     def cell_layers(self, low_z_mm: float, high_z_mm: float) -> list[CellLayer]:
         """The layers of cells whose kernels can reach these heights: (level, layer of cells); one per level in 2D."""

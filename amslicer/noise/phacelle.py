@@ -1,4 +1,4 @@
-"""Phacelle noise (2026), sampled: one splat in each cell, with the direction painted at it.
+"""Phacelle noise (2026): one splat in each cell, with the direction painted at it; or, simple, at the pixel.
 
 G(x) = Σ_j w(d_j) exp(i (k_j·(x - x_j) + φ_j)),   w(d) = max(0, exp(-2 d²) - exp(-2·1.5²)),
 
@@ -10,6 +10,11 @@ and the expected ratio the painted one.
 A Gaussian exp(-π b² |x|²) is as wide as exp(-2 d²) where a cell's side is √(2/π)/b: `bandwidth` means what it means for
 phasor noise. There are 1.6 splats per b^-2 (2.0 per b^-3), more evenly placed. Cells have one size: of a graded period,
 the geometric mean's; the carrier is the painted one.
+
+Simple Phacelle noise reads the direction once per pixel, for all splats: k(x) in place of k_j. The further a splat, the
+more a direction that turns moves its waves, so sheets keep their painted direction to the pixel and their period less
+well; where the painted direction jumps, so does G. Of k and -k, which are one laminate, the one's G must be the other's
+conjugate: a splat whose painted normal points against k(x) has -φ_j.
 """
 
 from __future__ import annotations
@@ -22,6 +27,7 @@ import numpy as np
 
 from amslicer.noise.kernels import Cells
 from amslicer.noise.phasor import Phasor
+from amslicer.noise.turn import turned
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -86,3 +92,20 @@ class Phacelle(Phasor):
         period = np.clip(paint.periods(place), *self.periods_mm)
         width, radius = (np.full(len(place), v) for v in (sqrt(CELL_SQUARED) / self.side_mm, reach))
         return self._painted(draw, paint, place, phase, choice[:, 1], period, width, radius)
+
+
+@dataclass(frozen=True)
+class SimplePhacelle(Phacelle):
+    """Simple Phacelle noise; attributes as of Phasor, without lobes."""
+
+    at_nodes: ClassVar[bool] = True
+
+    def waves_at(self, draw: Generator, paint: Paint, places_mm: Floats) -> Floats:
+        """(N, 3) k(x) at places, turned as isotropy says."""
+        normal = paint.normals(places_mm)
+        if not paint.is_laminate:
+            width = np.full(len(places_mm), sqrt(CELL_SQUARED) / self.side_mm)
+            isotropy = paint.isotropies(places_mm)
+            normal = turned(normal, isotropy, places_mm, width, self.dimensions, self.seed, draw)
+        period = np.clip(paint.periods(places_mm), *self.periods_mm)
+        return np.asarray(normal * (2 * np.pi / period)[:, None])

@@ -58,6 +58,7 @@ class Phasor:
     lobes: Lobes | None = None
     reads: ClassVar[str] = "phase"
     directed: ClassVar[bool] = True
+    at_nodes: ClassVar[bool] = False
 
     @property
     def envelope(self) -> NDArray[np.float32] | None:
@@ -66,6 +67,10 @@ class Phasor:
 
     def levels_of(self, cumulative: NDArray[Any]) -> Floats:
         """Not of a noise whose phase is read."""
+        raise NotImplementedError
+
+    def waves_at(self, draw: Generator, paint: Paint, places_mm: Floats) -> Floats:
+        """Not of a noise whose kernels have directions of their own."""
         raise NotImplementedError
 
     @property

@@ -35,8 +35,8 @@ def sample(
     if dimensions is None:
         flat = np.ndim(z) == 0 and z == 0 and not callable(elevation) and elevation == 0
         dimensions = 2 if flat else 3
-    if name == "phacelle" and impulses is not None:
-        raise UsageError(f"impulses is {impulses}, but phacelle has one splat per cell", hint="leave it out")
+    if name.startswith("phacelle") and impulses is not None:
+        raise UsageError(f"impulses is {impulses}, but {name} has one splat per cell", hint="leave it out")
     for key, value, paintable, accepted, said in (
         ("period", period, True, lambda v: 0 < v < np.inf, "greater than 0 mm"),
         ("bandwidth", bandwidth, False, lambda v: 0 < v <= 2, "above 0 up to 2"),
@@ -52,8 +52,9 @@ def sample(
         if not isinstance(value, Real) or not accepted(value):
             hint = "give a number, or a function of (N, 3) places" if paintable else "give one number"
             raise UsageError(f"{key} is {value!r}; it is {said}", hint=hint)
-    if lobes and not NOISES[name].directed:
-        raise UsageError(f"lobes are {lobes!r}, but {name} has no direction", hint="leave them out")
+    if lobes and (NOISES[name].at_nodes or not NOISES[name].directed):
+        has = "reads its direction at each point" if NOISES[name].directed else "has no direction"
+        raise UsageError(f"lobes are {lobes!r}, but {name} {has}", hint="leave them out")
     if any(not np.isfinite(angle) or not 0 < weight < np.inf for angle, weight in lobes):
         raise UsageError(
             f"lobes are {lobes!r}; each is (degrees, weight above 0)", hint="for example [(0, 1), (90, 1)]"
@@ -74,7 +75,7 @@ def sample(
     if isinstance(noise, Phacelle):
         return reference.phacelle(
             x, y, z, period=clipped, side_mm=noise.side_mm, dimensions=dimensions, seed=seed, normal=normal,
-            isotropy=isotropy, lobes=lobes,
+            isotropy=isotropy, lobes=lobes, simple=noise.at_nodes,
         )  # fmt: skip
     if isinstance(noise, IsotropicGabor):
         if callable(period):
