@@ -8,6 +8,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Protocol
 
 from amslicer.noise.gabor import Gabor, IsotropicGabor
+from amslicer.noise.gaborkernel import GaborKernel, gabor_noise, varying_gabor_noise
 from amslicer.noise.kernels import Kernels, Noise
 from amslicer.noise.phacelle import Phacelle, SimplePhacelle
 from amslicer.noise.phasor import Phasor
@@ -51,7 +52,7 @@ NOISES: dict[str, Maker] = {
     "phacelle-simple": SimplePhacelle,
 }
 
-__all__ = ["NOISES", "Kernels", "Noise", "sample"]
+__all__ = ["NOISES", "GaborKernel", "Kernels", "Noise", "gabor_noise", "sample", "varying_gabor_noise"]
 
 
 def sample(
