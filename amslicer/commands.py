@@ -161,6 +161,8 @@ def gallery_command(options: Namespace, check: Callable[[], None]) -> int:
     """amslicer gallery"""
     from PIL import Image
 
+    from amslicer import report
+    from amslicer.figures import FIGURES, figures
     from amslicer.gallery import pictures, sheet
     from amslicer.noise import NOISES
     from amslicer.storage import storage_errors
@@ -169,16 +171,26 @@ def gallery_command(options: Namespace, check: Callable[[], None]) -> int:
     with storage_errors("create", folder):
         folder.mkdir(parents=True, exist_ok=True)
     rows: dict[str, list[tuple[str, Any]]] = {}
-    for noise in NOISES:
-        for name, picture in pictures(noise):
-            check()
-            rows.setdefault(noise, []).append((name, picture))
-            if picture is not None:
-                words = "".join(c if c.isalnum() else "-" for c in name.replace(" %", "").replace(",", "")).lower()
-                _save_picture(Image.fromarray(picture), folder / f"{noise}-{words}.png")
+    remade: dict[str, list[tuple[str, Any]]] = {}
+    steps = len(NOISES) + FIGURES
+    with report.progress_bar("drawing", "rows", quiet=options.quiet) as show:
+        shown = _checked(show, check)
+        for noise in NOISES:
+            for name, picture in pictures(noise):
+                check()
+                rows.setdefault(noise, []).append((name, picture))
+                if picture is not None:
+                    words = "".join(c if c.isalnum() else "-" for c in name.replace(" %", "").replace(",", "")).lower()
+                    _save_picture(Image.fromarray(picture), folder / f"{noise}-{words}.png")
+            shown(len(rows), steps)
+        for name, made in figures():
+            remade[name] = made
+            shown(len(rows) + len(remade), steps)
     _save_picture(sheet(rows), folder / "gallery.png")
+    caption = "figures of Tricard et al. 2019 (phasor) and Lagae et al. 2011 (Gabor), made again"
+    _save_picture(sheet(remade, caption), folder / "figures.png")
     if not options.quiet:
-        print(folder / "gallery.png")
+        print(folder / "gallery.png", folder / "figures.png", sep="\n")
     return 0
 
 

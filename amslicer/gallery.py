@@ -12,13 +12,16 @@ import numpy as np
 
 from amslicer.noise import NOISES, sample
 from amslicer.pictures import BACKGROUND, GAP, INK, TEXT_HEIGHT
-from amslicer.profiles import PROFILES
+from amslicer.profiles import PROFILES, make_profile
+from amslicer.profiles.waveforms import BlendShape, HarmonicsShape
 from amslicer.reference import cyclic_labels, symmetric_labels
 from amslicer.specification import DEFAULT_COLORS
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
     from PIL.Image import Image
+
+    from amslicer.profiles import ProfileSpec
 
     Floats = NDArray[np.float64]
     Complexes = NDArray[np.complex128]
@@ -28,7 +31,18 @@ PIXELS, PERIODS = 200, 10.0  # of a picture's side
 BANDWIDTH, ORIENTATION, SEED = 0.5, 30.0, 1
 TWO, THREE = (0.3,), (0.2, 0.55)  # cumulative ratios
 SPECTRUM_PERIODS, SPECTRUM_REACH = 40.0, 2.5  # of the plane whose spectrum is shown; up to this many cycles a period
+SHEET_COLORS = 32  # of a sheet: greys and materials; a quarter of the bytes
 DECADES = 3.0  # of power that a spectrum shows
+HARMONICS = HarmonicsShape.model_validate({"harmonics": [0.4, 1]})
+WAVEFORMS = {
+    "harmonics, 40 %": HARMONICS,
+    "sine to harmonics": BlendShape.model_validate({"blend": {"from": "sine", "to": HARMONICS, "by": 0.0}}),
+}  # a blend goes from left to right here, whatever its field
+
+CAPTION = (
+    f"{PERIODS:g} periods a side, bandwidth {BANDWIDTH:g}; painted: direction from the middle, ratio from left to "
+    "right, isotropy from bottom to top"
+)
 
 
 def pictures(noise: str) -> Iterator[tuple[str, Picture | None]]:
@@ -36,71 +50,87 @@ def pictures(noise: str) -> Iterator[tuple[str, Picture | None]]:
 
     The real part, two materials, three materials by each profile, painted fields, the spectrum of two.
     """
-    g = sample(noise, *_plane(PERIODS), orientation=ORIENTATION, bandwidth=BANDWIDTH, seed=SEED)
-    yield "value Re G", _grey(g.real)
-    yield "pwm, 30 %", _colored(_labels(noise, g, TWO, "pwm"))
+    g = sample(noise, *plane(PERIODS), orientation=ORIENTATION, bandwidth=BANDWIDTH, seed=SEED)
+    yield "value Re G", grey(g.real)
+    yield "pwm, 30 %", _colored(labels(noise, g, TWO, "pwm"))
     for profile in ("symmetric", "cyclic"):
         built = NOISES[noise].reads == "phase" or not PROFILES[profile].arrows
-        yield f"{profile}, three materials", _colored(_labels(noise, g, THREE, profile)) if built else None
+        yield f"{profile}, three materials", _colored(labels(noise, g, THREE, profile)) if built else None
     # Around the middle; ratio from 0.1 at the left to 0.9, isotropy from 0 below to 1.
-    x, y = _plane(PERIODS)
+    x, y = plane(PERIODS)
     middle = PERIODS / 2
     painted = sample(
         noise, x, y, bandwidth=BANDWIDTH, seed=SEED,
         orientation=lambda p: np.rad2deg(np.arctan2(p[:, 1] - middle, p[:, 0] - middle)),
         isotropy=lambda p: np.clip(p[:, 1] / PERIODS, 0.0, 1.0),
     )  # fmt: skip
-    yield "painted", _colored(_labels(noise, painted, (0.1 + 0.8 * np.clip(x / PERIODS, 0, 1),), "pwm"))
-    yield "spectrum of pwm", _spectrum(noise)
+    yield "painted", _colored(labels(noise, painted, (0.1 + 0.8 * np.clip(x / PERIODS, 0, 1),), "pwm"))
+    for name, waveform in WAVEFORMS.items():
+        yield name, _colored(labels(noise, g, (0.4,), waveform))
+    far = sample(noise, *plane(SPECTRUM_PERIODS), orientation=ORIENTATION, bandwidth=BANDWIDTH, seed=SEED)
+    yield "spectrum of pwm", spectrum(np.where(labels(noise, far, (0.5,), "pwm") == 1, 1.0, -1.0))
 
 
-def sheet(rows: Mapping[str, Sequence[tuple[str, Picture | None]]]) -> Image:
-    """All pictures of all noises, with their names.
+def sheet(rows: Mapping[str, Sequence[tuple[str, Picture | None]]], caption: str = CAPTION) -> Image:
+    """All pictures of some rows, with their names.
 
     Args:
-        rows: the pictures of each noise.
+        rows: the pictures of each, by its name.
+        caption: above all of them.
     """
     from PIL import Image, ImageDraw, ImageFont
 
     columns = max(len(row) for row in rows.values())
-    width, height = columns * (PIXELS + GAP) + GAP, len(rows) * (PIXELS + TEXT_HEIGHT + GAP) + TEXT_HEIGHT + 2 * GAP
+    high = PIXELS + 2 * TEXT_HEIGHT + GAP
+    width, height = columns * (PIXELS + GAP) + GAP, len(rows) * high + TEXT_HEIGHT + 2 * GAP
     out = Image.new("RGB", (width, height), BACKGROUND)
     draw, font = ImageDraw.Draw(out), ImageFont.load_default(size=14)
-    caption = (
-        f"{PERIODS:g} periods a side, bandwidth {BANDWIDTH:g}; painted: direction from the middle, ratio from left to "
-        "right, isotropy from bottom to top"
-    )
     draw.text((GAP, GAP), caption, fill=INK, font=font)
-    for r, (noise, row) in enumerate(rows.items()):
-        top = 2 * GAP + TEXT_HEIGHT + r * (PIXELS + TEXT_HEIGHT + GAP)
+    for r, (row_name, row) in enumerate(rows.items()):
+        top = 2 * GAP + TEXT_HEIGHT + r * high
+        draw.text((GAP, top), row_name, fill=INK, font=ImageFont.load_default(size=17))
+        top += TEXT_HEIGHT
         for c, (name, picture) in enumerate(row):
             left = GAP + c * (PIXELS + GAP)
-            draw.text((left, top), f"{noise}: {name}" if c == 0 else name, fill=INK, font=font)
+            draw.text((left, top), name, fill=INK, font=font)
             if picture is None:
                 draw.text((left + GAP, top + TEXT_HEIGHT + PIXELS // 2), "needs a phase", fill=INK, font=font)
             else:
                 out.paste(Image.fromarray(picture), (left, top + TEXT_HEIGHT))
-    return out
+    return out.quantize(SHEET_COLORS, dither=Image.Dither.NONE)
 
 
-def _plane(periods: float) -> tuple[Floats, Floats]:
+def plane(periods: float) -> tuple[Floats, Floats]:
     """x and y of the pixels of a square, row 0 at the largest y; the period is 1."""
     at: Floats = (np.arange(PIXELS, dtype=np.float64) + 0.5) * (periods / PIXELS)
     return at[None, :], at[::-1, None]
 
 
-def _labels(noise: str, g: Complexes, cumulative: tuple[float | Floats, ...], profile: str) -> NDArray[np.uint8]:
-    maker = NOISES[noise]
-    if maker.reads == "value":
-        made = maker(periods_mm=(1.0, 1.0), bandwidth=BANDWIDTH, dimensions=2, seed=SEED)
-        levels = [made.levels_of(np.asarray(c)) for c in cumulative]
-        return np.asarray(1 + sum((g.real <= level).astype(np.uint8) for level in levels), np.uint8)
-    label = cyclic_labels if PROFILES[profile].arrows else symmetric_labels
-    return label(g, np.stack([np.broadcast_to(np.asarray(c, np.float64), g.shape) for c in cumulative]))
+def labels(noise: str, g: Complexes, cumulative: tuple[float | Floats, ...], profile: ProfileSpec) -> NDArray[np.uint8]:
+    """Materials of a field with BANDWIDTH, from 1.
+
+    Args:
+        profile: a name, or a shape.
+    """
+    until = np.stack([np.broadcast_to(np.asarray(c, np.float64), g.shape) for c in cumulative])
+    made = NOISES[noise](periods_mm=(1.0, 1.0), bandwidth=BANDWIDTH, dimensions=2, seed=SEED)
+    if not isinstance(profile, str):
+        table = make_profile(profile).rank_table(made)
+        assert table is not None
+        rank = table.look_up(g, np.linspace(0, 1, g.shape[1])[None, :])
+        return np.asarray(1 + np.count_nonzero(rank >= until, axis=0), np.uint8)
+    if made.reads == "value":
+        return np.asarray(1 + np.count_nonzero(g.real <= made.levels_of(until), axis=0), np.uint8)
+    return (cyclic_labels if PROFILES[profile].arrows else symmetric_labels)(g, until)
 
 
-def _grey(values: Floats) -> Picture:
-    most = np.quantile(np.abs(values), 0.99)
+def grey(values: Floats, most: float | None = None) -> Picture:
+    """Values as greys, 0 in the middle.
+
+    Args:
+        most: what is white; default: as far as 99 % of the values go.
+    """
+    most = float(np.quantile(np.abs(values), 0.99)) if most is None else most
     return np.repeat((127.5 + 127.5 * np.clip(values / most, -1, 1)).astype(np.uint8)[..., None], 3, axis=-1)
 
 
@@ -109,14 +139,18 @@ def _colored(labels: NDArray[np.uint8]) -> Picture:
     return palette[labels].astype(np.uint8)
 
 
-def _spectrum(noise: str) -> Picture:
-    """Power of two equal materials, on a logarithmic scale; the middle is frequency 0."""
-    g = sample(noise, *_plane(SPECTRUM_PERIODS), orientation=ORIENTATION, bandwidth=BANDWIDTH, seed=SEED)
-    signed = np.where(_labels(noise, g, (0.5,), "pwm") == 1, 1.0, -1.0)
-    window = np.hanning(PIXELS)
-    power = np.abs(np.fft.fftshift(np.fft.fft2(signed * window * window[:, None]))) ** 2
+def spectrum(values: Floats) -> Picture:
+    """Power of values on a plane of SPECTRUM_PERIODS, on a logarithmic scale; the middle is frequency 0."""
+    window = np.hanning(PIXELS) * np.hanning(PIXELS)[:, None]
+    centred = values - np.sum(values * window) / np.sum(window)
+    power = np.abs(np.fft.fftshift(np.fft.fft2(centred * window))) ** 2
     reach = round(SPECTRUM_REACH * SPECTRUM_PERIODS)
     power = power[PIXELS // 2 - reach : PIXELS // 2 + reach, PIXELS // 2 - reach : PIXELS // 2 + reach]
-    shade = np.clip(1 + np.log10(np.maximum(power / power.max(), 1e-12)) / DECADES, 0, 1)
     rows = np.arange(PIXELS) * (2 * reach) // PIXELS
-    return np.repeat((255 * shade[rows][:, rows]).astype(np.uint8)[..., None], 3, axis=-1)
+    return shaded(power[rows][:, rows])
+
+
+def shaded(power: Floats) -> Picture:
+    """DECADES of power as greys, the most white."""
+    shade = np.clip(1 + np.log10(np.maximum(power / power.max(), 1e-12)) / DECADES, 0, 1)
+    return np.repeat((255 * shade).astype(np.uint8)[..., None], 3, axis=-1)

@@ -33,6 +33,23 @@ class RankTable:
     ranks: NDArray[np.float32]
     reach: float
 
+    def look_up(self, g: NDArray[Any], blend: ArrayLike = 0.0) -> NDArray[np.float32]:
+        """Ranks at values of G, as the device finds them.
+
+        Args:
+            g: complex, any shape.
+            blend: 0…1, which broadcasts.
+        """
+        levels, samples = self.ranks.shape
+        if self.reach:
+            place = (g.real / (2 * self.reach) + 0.5) * samples
+        else:
+            size = np.abs(g.real) + np.abs(g.imag)
+            turned = g.real / np.where(size > 0, size, 1.0)
+            place = np.where(size > 0, np.where(g.imag >= 0, 1 - turned, 3 + turned), 2.0) * (samples / 4)
+        row = np.broadcast_to(np.rint(np.asarray(blend) * (levels - 1)).astype(np.int64), np.shape(place))
+        return np.asarray(self.ranks[row, np.clip(place, 0, samples - 1).astype(np.int64)])
+
 
 class Profile(Protocol):
     """How a phase becomes one of several materials, whose cumulative ratios are 0 = c0 <= … <= cM = 1."""
