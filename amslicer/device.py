@@ -228,6 +228,12 @@ class Device:
 
         cl.enqueue_copy(queue or self.queue, out, buffer)
 
+    def write(self, buffer: Any, array: NDArray[np.generic], queue: Any = None) -> None:
+        """Copies a contiguous array to the start of `buffer` and waits for it."""
+        import pyopencl as cl
+
+        cl.enqueue_copy(queue or self.queue, buffer, array)
+
     def _check_size(self, nbytes: int) -> None:
         limit = self.device.max_mem_alloc_size
         if nbytes > limit:

@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from amslicer.device import Device
+    from amslicer.noise.alignment import Neighbours
 
     Floats = NDArray[np.float64]
 
@@ -53,6 +54,39 @@ class DeviceGenerator:
         )  # fmt: skip
         self.device.read(buffer, fields, self._queue)
         return fields
+
+    def aligned(
+        self, neighbours: Neighbours, z: NDArray[np.complex64], known: NDArray[np.bool_], sweeps: int
+    ) -> NDArray[np.complex64]:
+        """exp(iφ) of kernels after phase alignment."""
+        device, count, queue = self.device, len(z), self._queue
+        n = neighbours
+        tables = [device.buffer(a) for a in (n.places, n.waves, n.normals, n.grids, n.shapes, n.reaches, n.cells)]
+        sizes = np.int32(len(n.reaches)), np.uint32(count), np.float32(n.dimensions), np.float32(n.least)
+        counts = np.empty(count, np.uint32)
+        counted, unused = device.empty(counts.nbytes), device.empty(4)
+        find = device.kernel("neighbours")
+        device.run(find, count, counted, unused, unused, unused, *tables, *sizes, np.uint32(0), queue=queue)
+        device.read(counted, counts, queue)
+        ends = np.concatenate([[0], np.cumsum(counts, dtype=np.int64)])
+        starts = device.buffer(ends.astype(np.uint32))
+        entries, overlaps = (device.empty(size * int(ends[-1])) for size in (4, 8))
+        device.run(find, count, counted, starts, entries, overlaps, *tables, *sizes, np.uint32(1), queue=queue)
+        before, after, known_here = (
+            device.empty(z.nbytes),
+            device.empty(z.nbytes),
+            device.buffer(known.astype(np.uint8)),
+        )
+        device.write(before, z, queue)
+        for number in range(sweeps + 1):
+            device.run(
+                device.kernel("sweep"), count, after, before, starts, entries, overlaps, known_here,
+                np.uint32(number == 0), np.uint32(count), queue=queue,
+            )  # fmt: skip
+            before, after = after, before
+        out = np.empty_like(z)
+        device.read(before, out, queue)
+        return out
 
 
 def _four(values: NDArray[np.generic], kind: type[np.generic]) -> NDArray[np.generic]:

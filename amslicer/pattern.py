@@ -73,7 +73,6 @@ class Pattern:
         self.device = device
         self.noise = make_noise(job, painted)
         sweeps = job.spec.pattern.alignment
-        self._alignment = Alignment(self.noise, sweeps, painted.placement.size_mm) if sweeps else None
         self.planar = job.spec.pattern.dimensions == 2
         self.profile = make_profile(job.spec.pattern.profile)
         self._rank_table = self.profile.rank_table(self.noise)
@@ -100,6 +99,10 @@ class Pattern:
             np.array([np.array(ends[i]) * side for ends, side in zip(corners, sides, strict=True)]) for i in (0, 1)
         )
         self._rectangle = low.min(axis=0) - tiling.outside_mm, high.max(axis=0) + tiling.outside_mm
+        self._alignment: Alignment | None = None
+        if sweeps:
+            size = painted.placement.size_mm
+            self._alignment = Alignment(self.noise, sweeps, size, self._generator, self._kernels_of)
 
     def block(self, runs: Runs, first: int) -> Block:
         """The layers first, first + 1, …, which lie in one layer of tiles, ready to be made.
@@ -259,16 +262,18 @@ class Pattern:
         middle = (block + 0.5) * tiling.nodes[2].side_mm
         return np.column_stack([(tiles + 0.5) * tiling.sides_mm, np.full(len(tiles), middle)])
 
+    def _kernels_of(self, number: CellLayer) -> Kernels:
+        """All kernels of a layer of cells that reach what is ever looked at."""
+        return self.noise.kernels(self._generator, number, *self._rectangle, self.painted)
+
     def _kernels(self, low_mm: Floats, high_mm: Floats, low_z_mm: float, high_z_mm: float) -> Kernels:
         """All kernels that reach a rectangle between two heights, in the order of their cells."""
         cell_layers = self.noise.cell_layers(low_z_mm, high_z_mm)
         self._cell_layers = {number: kernels for number, kernels in self._cell_layers.items() if number in cell_layers}
         for number in cell_layers:
             if number not in self._cell_layers:
-                kernels = self.noise.kernels(self._generator, number, *self._rectangle, self.painted)
-                if self._alignment:
-                    kernels = self._alignment.aligned(kernels, number, self._generator, self.painted)
-                self._cell_layers[number] = kernels
+                made = self._alignment.kernels if self._alignment else self._kernels_of
+                self._cell_layers[number] = made(number)
         near = []
         for number in cell_layers:
             kernels = self._cell_layers[number]

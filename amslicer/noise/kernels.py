@@ -12,6 +12,8 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from amslicer.noise.alignment import Neighbours
+
     Floats = NDArray[np.float64]
 
 WORD = 2.0**-32  # random words to [0, 1)
@@ -56,6 +58,17 @@ class Generator(Protocol):
 
         Returns:
             (N, 4).
+        """
+
+    def aligned(
+        self, neighbours: Neighbours, z: NDArray[np.complex64], known: NDArray[np.bool_], sweeps: int
+    ) -> NDArray[np.complex64]:
+        """exp(iφ) of kernels after phase alignment: first those not known from those that are, then sweeps of all.
+
+        Args:
+            neighbours: the kernels, sorted.
+            z: (N,) exp(iφ) before, in the same order.
+            known: (N,) which of them are aligned at a coarser level.
         """
 
 
