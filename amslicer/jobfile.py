@@ -150,7 +150,7 @@ def _explain(error: ValidationError, content: dict[str, Any], origin: Origin) ->
     if first["type"] == "missing":
         missing = ".".join(map(str, (*path, first["loc"][-1])))
         return origin.error(path, f"the key '{missing}' is missing", "`amslicer init` writes an example")
-    text = first["msg"].removeprefix("Value error, ")
+    text = first["msg"].removeprefix("Value error, ").replace("valid tuple", "list")
     text = text[0].lower() + text[1:]
     if first["type"] in ("field_source", "profile", "waveform"):
         problem = f"{key}: {_shown(found)} {text}"

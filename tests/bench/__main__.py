@@ -21,6 +21,7 @@ PARTS = {
 PEERS = {"prusa": "`prusa-slicer --export-sla`", "stltovoxel": "`stltovoxel`"}
 TIMES = 3  # whole processes: the median
 # How cost grows: what changes, and what it is compared with. Layers of the lens, whole processes.
+SWEEPS = 20
 GROWTH: dict[str, dict[str, Any]] = {
     "one layer": {"layers": (200, 201)},
     "layers 160 to 240": {"layers": (160, 240)},
@@ -78,6 +79,10 @@ def main() -> None:
         arguments = (changes.get("part", "lens"), "all", *changes["layers"], json.dumps(settings))
         measure("whole", *arguments)  # compiles
         found["growth"][name] = median([measure("whole", *arguments) for _ in range(TIMES)])
+    # In turn, so that a machine that slows down slows both.
+    pairs = [[measure("whole", "insole", "all", 0, "all", json.dumps({"pattern.alignment": n})) for n in (0, SWEEPS)]
+             for _ in range(TIMES)]  # fmt: skip
+    found["aligned"] = [median([pair[i] for pair in pairs]) for i in (0, 1)]
     found["encode"] = measure("encode")
     found["start"] = measure("start")
     rows = list(table(found))
@@ -148,6 +153,12 @@ def table(found: dict[str, Any]) -> Iterator[tuple[str, str]]:
             f"{grown['seconds']:.2f} s, {net:.2f} s more than one layer: {net / base_net:.2f} × for "
             f"{grown['solid'] / base['solid']:.2f} × the solid pixels; {grown['peak_mb']:.0f} MB",
         )
+    plain, aligned = (run["seconds"] for run in found["aligned"])
+    yield (
+        f"insole, {SWEEPS} sweeps of alignment",
+        f"{aligned:.2f} s, {aligned - plain:.2f} s or {100 * (aligned / plain - 1):.0f} % more; "
+        f"{found['aligned'][1]['peak_mb']:.0f} MB",
+    )
     png = found["encode"]
     height, width = png["shape"]
     yield (
