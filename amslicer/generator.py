@@ -80,7 +80,8 @@ class DeviceGenerator:
         device.write(before, z, queue)
         for number in range(sweeps + 1):
             device.run(
-                device.kernel("sweep"), count, after, before, starts, entries, overlaps, known_here,
+                device.kernel("sweep"), count, after, before, starts, counted, entries, overlaps,
+                known_here,
                 np.uint32(number == 0), np.uint32(count), queue=queue,
             )  # fmt: skip
             before, after = after, before

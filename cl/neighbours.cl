@@ -3,7 +3,7 @@
 #define OPPOSITE 0x80000000u
 
 // Kernels are sorted by groups of like widths, and by the cells of each group's grid. counts: of each kernel's neighbours, in the
-// first pass (filled: 0); starts: of their entries, in the second; entries: number of a neighbour, with OPPOSITE where its
+// first pass (filled: 0) of all that are near enough, in the second of those that overlap; starts: of their entries; entries: number of a neighbour, with OPPOSITE where its
 // painted normal points against the kernel's own; overlaps: w exp(iθ). places: (x, y, z, b²), waves: (k, group), normals:
 // (n, nothing), in mm and rad/mm; grids: per group the lowest corner and 1/side of its cells; shapes: cells along x, y, z, and the
 // first one's number; reaches: of each group; cells: where each cell's kernels start.
@@ -19,7 +19,8 @@ kernel void neighbours(global uint *restrict counts, global const uint *restrict
     if (i >= count) return;
     const float4 place = places[i], wave = waves[i], normal = normals[i];
     const int own = (int)wave.w;
-    uint found = 0, entry = filled ? starts[i] : 0;
+    const uint entry = filled ? starts[i] : 0;
+    uint found = 0;
     for (int g = max(0, own - 1); g < min(groups, own + 2); ++g) {
         const float reach = reaches[min(g, own)];
         const int4 shape = shapes[g];
@@ -34,23 +35,24 @@ kernel void neighbours(global uint *restrict counts, global const uint *restrict
                     const float3 d = place.xyz - places[j].xyz;
                     const float squared = dot(d, d);
                     if (j == i || squared > reach * reach) continue;
+                    if (!filled) {
+                        ++found;
+                        continue;
+                    }
                     const float sign = dot(normal.xyz, normals[j].xyz) < 0.0f ? -1.0f : 1.0f;
                     const float b_i = place.w, b_j = places[j].w, total = b_i + b_j;
                     const float3 other = sign * waves[j].xyz, apart = wave.xyz - other;
-                    const float exponent = 0.25f * dimensions * log(4.0f * b_i * b_j / (total * total))
-                                           - M_PI_F * b_i * b_j * squared / total
+                    const float alike = b_i == b_j ? 0.0f : log(4.0f * b_i * b_j / (total * total));
+                    const float exponent = 0.25f * dimensions * alike - M_PI_F * b_i * b_j * squared / total
                                            - dot(apart, apart) / (4.0f * M_PI_F * total);
                     if (exponent <= least) continue;
-                    if (filled) {
-                        float cosine;
-                        const float sine = sincos((b_i * dot(other, d) + b_j * dot(wave.xyz, d)) / total, &cosine);
-                        entries[entry] = j | (sign < 0.0f ? OPPOSITE : 0u);
-                        overlaps[entry] = exp(exponent) * (float2)(cosine, sine);
-                        ++entry;
-                    }
+                    float cosine;
+                    const float sine = sincos((b_i * dot(other, d) + b_j * dot(wave.xyz, d)) / total, &cosine);
+                    entries[entry + found] = j | (sign < 0.0f ? OPPOSITE : 0u);
+                    overlaps[entry + found] = exp(exponent) * (float2)(cosine, sine);
                     ++found;
                 }
             }
     }
-    if (!filled) counts[i] = found;
+    counts[i] = found;
 }

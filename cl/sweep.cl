@@ -2,10 +2,11 @@
 
 #define OPPOSITE 0x80000000u
 
-// after, before: exp(iφ) of each kernel; starts, entries, overlaps: as neighbours.cl leaves them; known: which kernels keep
+// after, before: exp(iφ) of each kernel; starts, counts, entries, overlaps: as neighbours.cl leaves them; known: which kernels keep
 // their phase where only neighbours count (alone: 1), for the others before is what they keep where nothing overlaps.
 kernel void sweep(global float2 *restrict after, global const float2 *restrict before,
-                  global const uint *restrict starts, global const uint *restrict entries,
+                  global const uint *restrict starts, global const uint *restrict counts,
+                  global const uint *restrict entries,
                   global const float2 *restrict overlaps, global const uchar *restrict known, const uint alone,
                   const uint count)
 {
@@ -17,7 +18,7 @@ kernel void sweep(global float2 *restrict after, global const float2 *restrict b
         return;
     }
     float2 sum = alone ? (float2)(0.0f, 0.0f) : own;
-    for (uint e = starts[i]; e < starts[i + 1]; ++e) {
+    for (uint e = starts[i]; e < starts[i] + counts[i]; ++e) {
         const uint j = entries[e] & ~OPPOSITE;
         if (alone && !known[j]) continue;
         const float2 z = before[j], w = overlaps[e];

@@ -87,6 +87,7 @@ def test_materials_and_ratio_are_enough() -> None:
             "period": 1.0,
             "bandwidth": 0.5,
             "alignment": 0,
+            "lobes": [],
             "evaluate": "lattice",
             "profile": "pwm",
             "edges": "sharp",
@@ -332,7 +333,7 @@ def test_refused_with_its_key(key: str, value: Any, said: str) -> None:
 @pytest.mark.parametrize(
     ("key", "value"),
     [
-        ("pattern.noise", "phacelle-simple"),
+        ("pattern.noise", "wave"),
         ("pattern.noise", "asymptotic-spot"),
         ("fields.ratio", {"volume": "ratio.npy"}),
         ("fields.ratio", {"vertex": "name"}),

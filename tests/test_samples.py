@@ -187,7 +187,7 @@ def test_the_plates_job() -> None:
             {"name": "flexible", "color": "#f6ad55", "density_g_cm3": 1.12},
         ],
         "pattern": {
-            "noise": "phasor", "dimensions": 2, "period": 1.0, "bandwidth": 0.5, "alignment": 0,
+            "noise": "phasor", "dimensions": 2, "period": 1.0, "bandwidth": 0.5, "alignment": 0, "lobes": [],
             "evaluate": "lattice", "profile": "pwm", "edges": "sharp", "seed": 1,
         },
         "fields": {

@@ -20,6 +20,9 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
 
+POWER_STEPS = 4
+SETTLED, LARGEST = 1e-15, 0.75  # a residual of rounding alone; more than half of the trace: there is no larger one
+
 
 class Orientation(Protocol):
     """A field of directions."""
@@ -132,7 +135,26 @@ def _line_mean(normals: Floats, weights: Floats) -> Floats:
     if agree.all():
         return heaviest
     tensor = np.einsum("kn,kni,knj->nij", weights, normals, normals)
-    mean = np.linalg.eigh(tensor)[1][:, :, -1]
+    mean = _largest_eigenvectors(tensor, heaviest)
     sign = np.where(np.einsum("ni,ni->n", mean, heaviest) < 0, -1.0, 1.0)
     result: Floats = np.where(agree[:, None], heaviest, mean * sign[:, None])
     return result
+
+
+def _largest_eigenvectors(tensor: Floats, guess: Floats) -> Floats:
+    """(N, 3) of (N, 3, 3) symmetric tensors of trace 1, from a guess.
+
+    Samples that nearly agree leave the other eigenvalues tiny, so a few products with the tensor are as good as a
+    decomposition, and ten times as fast; what they do not settle is decomposed.
+    """
+    found = guess
+    for _ in range(POWER_STEPS):
+        found = np.einsum("nij,nj->ni", tensor, found)
+        found = found / np.maximum(np.sqrt(np.einsum("ni,ni->n", found, found)), np.finfo(float).tiny)[:, None]
+    product = np.einsum("nij,nj->ni", tensor, found)
+    value = np.einsum("ni,ni->n", product, found)
+    off = np.abs(product - value[:, None] * found).max(axis=1)
+    open_ = np.flatnonzero((off > SETTLED) | (value < LARGEST))
+    if len(open_):
+        found[open_] = np.linalg.eigh(tensor[open_])[1][:, :, -1]
+    return np.asarray(found)

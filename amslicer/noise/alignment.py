@@ -39,6 +39,7 @@ if TYPE_CHECKING:
 
 COARSE = 2  # levels before the finest, each with envelopes twice as wide
 LEAST = 0.1  # smaller overlaps count for nothing
+CELLS_PER_REACH = 2  # of a grid: fewer kernels are looked at for nothing than in cells twice as large
 CELLS_PER_KERNEL = 4  # of a grid, at most: kernels far apart get larger cells
 MAX_KERNELS = 1_000_000  # some 25 neighbours each in space: 300 MB
 # The low bits of a phase's random word choose the kernels of the coarse levels: they say nothing of the phase itself.
@@ -169,7 +170,7 @@ def _neighbours(kernels: Kernels, chosen: Ints, narrower: float, dimensions: int
         shapes[number, 3] = first
         if len(some):
             low = place[some].min(axis=0)
-            side = reach
+            side = reach / CELLS_PER_REACH
             size = place[some].max(axis=0) - low
             while np.prod(np.floor(size / side) + 1) > CELLS_PER_KERNEL * len(some):
                 side *= 2
