@@ -64,7 +64,7 @@ def turns_little(painted: Painted, distance_mm: float, degrees: float) -> bool:
     return turned <= degrees
 
 
-def refuse_lines(painted: Painted) -> None:
+def refuse_lines(painted: Painted, profile: str) -> None:
     """Looks for a wall across which the painted direction turns into its opposite.
 
     Raises:
@@ -80,7 +80,7 @@ def refuse_lines(painted: Painted) -> None:
             pair = np.argwhere(wall)[0]
             x, y, z = np.moveaxis(places, axis, 0)[tuple(pair)]
             raise JobError(
-                "pattern.profile: cyclic needs arrows, but fields.orientation turns into its opposite near "
+                f"pattern.profile: {profile} needs arrows, but fields.orientation turns into its opposite near "
                 f"x = {x:.1f}, y = {y:.1f}, z = {z:.1f} mm from the part's corner: it would reverse the order of the "
                 "materials there",
                 hint="use profile: symmetric, or paint a direction that does not jump by 180° (a gradient, an "

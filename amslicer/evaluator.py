@@ -137,6 +137,7 @@ class Evaluator:
                 shapes, device.buffer(normals), device.buffer(self._waves(first, count, here)), table,
                 *self._places(first), np.uint32(start), np.uint32(len(some)), np.uint32(start - some.start),
             )  # fmt: skip
+            device.queue.finish()  # else the waves of all would wait in memory
 
     def _waves(self, first: int, count: int, some: range) -> NDArray[np.float32]:
         """(planes, tiles, rows, 3, columns) wave vectors at the nodes, rad/mm."""

@@ -1,4 +1,4 @@
-"""Figures of the papers, made again: by amslicer.noise.sample alone, so that a reader who knows them can compare.
+"""Figures of the papers, made again by amslicer.noise, so that a reader who knows them can compare.
 
 Numbers are the papers': Tricard et al. 2019 (phasor) and Lagae et al. 2011 (Gabor).
 """

@@ -152,5 +152,5 @@ def spectrum(values: Floats) -> Picture:
 
 def shaded(power: Floats) -> Picture:
     """DECADES of power as greys, the most white."""
-    shade = np.clip(1 + np.log10(np.maximum(power / power.max(), 1e-12)) / DECADES, 0, 1)
+    shade = np.clip(1 + np.log10(np.maximum(power / max(power.max(), np.finfo(float).tiny), 1e-12)) / DECADES, 0, 1)
     return np.repeat((255 * shade).astype(np.uint8)[..., None], 3, axis=-1)

@@ -176,12 +176,13 @@ def _child(node: Any, step: str | int) -> Any:
 def _real_path(loc: tuple[int | str, ...], content: Any) -> KeyPath:
     """The steps of a validation location that are keys of the content (it also names union members)."""
     from amslicer.fields import SOURCES
+    from amslicer.profiles import SHAPES
 
     path: list[int | str] = []
     node, named = content, False
     for step in loc:
-        # A field's location starts with the name of its source, which is one of its keys too.
-        if step in SOURCES and isinstance(node, dict) and step in node and not named:
+        # The location of a field or a profile starts with the name of its kind, which is one of its keys too.
+        if (step in SOURCES or step in SHAPES) and isinstance(node, dict) and step in node and not named:
             named = True
         elif (isinstance(node, dict) and step in node) or (isinstance(node, list) and isinstance(step, int)):
             path.append(step)
@@ -251,7 +252,7 @@ def _refuse_unbuilt(spec: JobFile, origin: Origin) -> None:
 def _refuse_contradictions(spec: JobFile, origin: Origin) -> None:
     """What no single key is to blame for."""
     from amslicer.noise import NOISES
-    from amslicer.profiles import make_profile
+    from amslicer.profiles import make_profile, profile_name
     from amslicer.specification import AzimuthElevation, VectorComponents
 
     pattern, fields = spec.pattern, spec.fields
@@ -278,7 +279,7 @@ def _refuse_contradictions(spec: JobFile, origin: Origin) -> None:
             )
     if NOISES[pattern.noise].reads == "value":
         needs: tuple[tuple[str, bool, Any, Any], ...] = (
-            ("profile", make_profile(pattern.profile).arrows, _profile_name(pattern.profile), "pwm"),
+            ("profile", make_profile(pattern.profile).arrows, profile_name(pattern.profile), "pwm"),
             ("alignment", pattern.alignment > 0, pattern.alignment, 0),
         )
         for key, refused, value, default in needs:
@@ -309,10 +310,6 @@ def _refuse_contradictions(spec: JobFile, origin: Origin) -> None:
             "fields.orientation.vector: has a z component, but pattern.dimensions is 2: the same in every layer",
             "set pattern.dimensions to 3, or the third component to 0",
         )
-
-
-def _profile_name(profile: Any) -> str:
-    return profile if isinstance(profile, str) else f"this {next(iter(type(profile).model_fields))}"
 
 
 def _refuse_ratios(spec: JobFile, origin: Origin) -> None:

@@ -50,8 +50,7 @@ def ratio_problems(levels: Sequence[Level], materials: Sequence[str], corner_mm:
 
 def direction_problems(shown: Sequence[Shown]) -> Iterator[str]:
     """Whether the sheets turn as painted, where isotropy is low."""
-    low = [block for block in shown if block.isotropy <= LOW_ISOTROPY]
-    for where, blocks in _regions(low):
+    for where, blocks in _regions(of_low_isotropy(shown)):
         turns = np.array([block.turn_deg for block in blocks])
         angles = np.array([block.angle_deg for block in blocks])
         mean = turns.mean(axis=0)
@@ -69,6 +68,11 @@ def direction_problems(shown: Sequence[Shown]) -> Iterator[str]:
                 f"{where}: sheets are {np.median(angles):.1f}° from the painted direction in the middle of "
                 f"{len(blocks)} blocks (allowed {limit:.1f}°)"
             )
+
+
+def of_low_isotropy(shown: Sequence[Shown]) -> list[Shown]:
+    """The blocks that have one direction."""
+    return [block for block in shown if block.isotropy <= LOW_ISOTROPY]
 
 
 def period_problems(shown: Sequence[Shown], dimensions: int) -> Iterator[str]:

@@ -5,9 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+
+from amslicer.profiles import make_profile
 
 if TYPE_CHECKING:
     from amslicer.pipeline import Prepared
@@ -47,8 +49,9 @@ def notes_of(prepared: Prepared) -> list[str]:
 
 
 def sheet_bounds(prepared: Prepared) -> tuple[float, list[Bounds]]:
-    """The finest period in mm, and the smallest and largest painted share of each material."""
-    return prepared.painted.period_bounds_mm[0], prepared.painted.share_bounds()
+    """The least mm from sheet to sheet of a material, and the smallest and largest painted share of each material."""
+    humps = make_profile(prepared.job.spec.pattern.profile).humps
+    return prepared.painted.period_bounds_mm[0] / humps, prepared.painted.share_bounds()
 
 
 def bed_notes(lifted_mm: float) -> Iterator[str]:
@@ -133,7 +136,7 @@ def locking_notes(prepared: Prepared) -> Iterator[str]:
     from amslicer.arrows import sample_places
     from amslicer.locking import locking_error
     from amslicer.noise import NOISES
-    from amslicer.profiles import make_profile
+    from amslicer.pattern import job_lobes
 
     spec, grid, painted = prepared.job.spec, prepared.grid, prepared.painted
     shortest, longest = painted.period_bounds_mm
@@ -144,27 +147,33 @@ def locking_notes(prepared: Prepared) -> Iterator[str]:
     normals = painted.normals(sample_places(painted, LOCKING_STEP_PERIODS * shortest).reshape(-1, 3))
     if np.abs(normals @ normals[0]).min() < math.cos(math.radians(STRAIGHT_DEG)):
         return
+    lobes = job_lobes(prepared.job, painted)
+    directions = normals[:1] if lobes is None else lobes.all_directions(normals[:1])[0]
     axes = painted.dimensions
     pitch = np.array([*grid.pitch_mm, grid.layer_mm])[:axes]
     size = painted.placement.size_mm
-    if float(np.abs(normals[0, :axes]) @ size[:axes]) < LOCKING_PERIODS * shortest:
-        return
     coarse = replace(
         grid, columns=COARSE_PX, rows=COARSE_PX, layers=1, margin_px=0, layer_mm=float(size[2]),
         pitch_mm=(float(size[0]) / COARSE_PX, float(size[1]) / COARSE_PX),
     )  # fmt: skip
-    errors = locking_error(
-        painted.ratio_map(coarse, 0).mean(axis=(1, 2)), profile=make_profile(spec.pattern.profile),
-        cycles_per_pixel=normals[0, :axes] * pitch / shortest,
-        extents_px=np.array([grid.columns, grid.rows, grid.layers])[:axes],
-        width_per_pixel=spec.pattern.bandwidth * pitch / shortest, aligned=spec.pattern.alignment > 0,
-    )  # fmt: skip
-    worst = int(np.argmax(errors))
-    if errors[worst] > LOCKED_SHARE:
-        along = int(np.argmax(np.abs(normals[0, :axes]) / pitch))
-        pixels = shortest / abs(float(normals[0, along])) / pitch[along]
+    ratios = painted.ratio_map(coarse, 0).mean(axis=(1, 2))
+    worst: tuple[float, int, Any] = (LOCKED_SHARE, 0, None)
+    for normal in directions[:, :axes]:
+        if float(np.abs(normal) @ size[:axes]) < LOCKING_PERIODS * shortest:
+            continue
+        errors = locking_error(
+            ratios, profile=make_profile(spec.pattern.profile), cycles_per_pixel=normal * pitch / shortest,
+            extents_px=np.array([grid.columns, grid.rows, grid.layers])[:axes],
+            width_per_pixel=spec.pattern.bandwidth * pitch / shortest, aligned=spec.pattern.alignment > 0,
+        )  # fmt: skip
+        material = int(np.argmax(errors))
+        worst = max(worst, (float(errors[material]), material, normal), key=lambda found: found[0])
+    error, material, normal = worst
+    if normal is not None:
+        along = int(np.argmax(np.abs(normal) / pitch))
+        pixels = shortest / abs(float(normal[along])) / pitch[along]
         yield (
-            f"the ratio of {painted.materials[worst]} may be off by up to {100 * errors[worst]:.1f} %: straight sheets "
+            f"the ratio of {painted.materials[material]} may be off by up to {100 * error:.1f} %: straight sheets "
             f"{pixels:.2f} {('pixels along x', 'pixels along y', 'layers')[along]} apart are in step with the grid and "
             "all rounded alike; set pattern.edges to dithered, change the period a little, or turn the part"
         )

@@ -85,6 +85,7 @@ class Pattern:
         self._generator = DeviceGenerator(device)
         self._planar_field: PlanarField | None = None
         self._thresholds: Any = None
+        self._planes: NDArray[np.float32] | None = None
         self._planar_labels: Any = None
         self._plain: NDArray[np.bool_] | None = None
         self._by_vector: tuple[Taps, Taps, Taps] | None = None
@@ -302,15 +303,21 @@ class Pattern:
         return self.noise.levels_of(c).astype(np.float32)
 
     def _threshold_buffer(self, layer: int) -> Any:
-        ratio = self.ratio(layer)
-        padded = np.zeros((len(ratio) + self.blended, *self.padded), np.float32)
-        by_level = self.noise.reads == "value" and self._rank_table is None
-        inner = padded[:, : self.grid.rows, : self.grid.columns]
-        inner[: len(ratio)] = (self._levels if by_level else self.profile.thresholds)(ratio)
+        """Thresholds of a layer, and its blend; those of a ratio that is the same in all layers are made once."""
+        if self._planes is None or self.painted.ratio_depends_on_z:
+            ratio = self.ratio(layer)
+            self._planes = np.zeros((len(ratio) + self.blended, *self.padded), np.float32)
+            by_level = self.noise.reads == "value" and self._rank_table is None
+            thresholds = (self._levels if by_level else self.profile.thresholds)(ratio)
+            self._planes[: len(ratio), : self.grid.rows, : self.grid.columns] = thresholds
         if self.blended:
             assert self._rank_table is not None
-            inner[-1] = np.rint(self.painted.blend_map(self.grid, layer) * (len(self._rank_table.ranks) - 1))
-        return self.device.buffer(padded)
+            rows = np.rint(self.painted.blend_map(self.grid, layer) * (len(self._rank_table.ranks) - 1))
+            self._planes[-1, : self.grid.rows, : self.grid.columns] = rows
+        planes = self._planes
+        if not self.painted.materials_depend_on_z or self.painted.ratio_depends_on_z:
+            self._planes = None
+        return self.device.buffer(planes)
 
     @property
     def blended(self) -> bool:

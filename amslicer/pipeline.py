@@ -27,7 +27,7 @@ from amslicer.notes import notes_of
 from amslicer.painted import Painted, open_fields
 from amslicer.pattern import Pattern, make_noise
 from amslicer.placement import Placement, place
-from amslicer.profiles import make_profile
+from amslicer.profiles import make_profile, profile_name
 from amslicer.tiles import CALM_DEG, CALM_TILE_PERIODS, TILE_PERIODS, Tiling, choose_tiling
 
 if TYPE_CHECKING:
@@ -123,7 +123,7 @@ def prepare(job: Job) -> Prepared:
     _refuse_periods(painted)
     _refuse_isotropies(painted)
     if make_profile(spec.pattern.profile).arrows:
-        refuse_lines(painted)
+        refuse_lines(painted, profile_name(spec.pattern.profile))
     lattice = None
     if spec.pattern.evaluate == "lattice" and not NOISES[spec.pattern.noise].at_nodes:
         lattice = choose_lattice(
@@ -290,7 +290,7 @@ def make_layers(
     Close it before the pool and the device.
     """
     grid = prepared.grid
-    graded = len(prepared.painted.materials) - 1 if prepared.painted.materials_depend_on_z else 0
+    graded = len(prepared.painted.materials) - 1 + pattern.blended if prepared.painted.materials_depend_on_z else 0
     at_once = layers_at_once(grid, prepared.tiling, graded)
 
     painted = pool.submit(pattern.sum_ratios, chosen.start)

@@ -55,7 +55,7 @@ def plot_spectrum(
     window = np.hanning(rows)[:, None] * np.hanning(columns)
     centred = values - np.sum(values * window) / np.sum(window)
     power = np.abs(np.fft.fftshift(np.fft.fft2(centred * window))) ** 2
-    decades = 10 * np.log10(np.maximum(power / power.max(), 1e-12))
+    decades = 10 * np.log10(np.maximum(power / max(power.max(), np.finfo(float).tiny), 1e-12))
     x, y = 0.5 / pitch_mm[0], 0.5 / pitch_mm[1]
     shown = axes.imshow(decades, cmap="gray", vmin=-10 * DECADES, vmax=0, extent=(-x, x, -y, y))
     axes.figure.colorbar(shown, ax=axes, label="dB")

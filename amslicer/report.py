@@ -128,7 +128,8 @@ def print_estimate(found: Estimate) -> None:
 def print_report(found: Report) -> None:
     """What `verify` found."""
     for check in found.checks:
-        print(f"{'ok    ' if check.ok else 'FAILED'} {check.name}")
+        word = "FAILED" if not check.ok else "ok    " if check.made else "-     "
+        print(f"{word} {check.name}{'' if check.made else ' (not checked: the part shows too little of it)'}")
         for problem in check.problems:
             print(f"         {problem}")
     rows = [

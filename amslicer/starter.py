@@ -36,6 +36,7 @@ pattern:
   # impulses: {impulses:g}                    # kernels per bandwidth^dimensions
   # profile: {pattern.profile}                   # of several materials: symmetric A B C B A, or cyclic A B C A B C;
                                    # or a waveform: {{table: [0, 1, 0.5, 0.5, 1]}}, {{harmonics: [1, 0, 0.4]}} …
+  # lobes: []                      # several directions: [{{angle: 0}}, {{angle: 90, weight: 0.5}}]
   # alignment: {pattern.alignment}                   # 20 brings the kernels in step: sheets that run through unbroken
   # edges: {pattern.edges}                   # or dithered, for very regular sheets along the pixel rows
   # evaluate: {pattern.evaluate}              # or exact: at every pixel, several times slower

@@ -15,8 +15,16 @@ import numpy as np
 
 from amslicer.errors import AmslicerError, JobError, StorageError
 from amslicer.fields.constant import ConstantSampler
-from amslicer.judgement import direction_problems, isotropy_problems, period_problems, ratio_problems
+from amslicer.judgement import (
+    MIN_BLOCKS,
+    direction_problems,
+    isotropy_problems,
+    of_low_isotropy,
+    period_problems,
+    ratio_problems,
+)
 from amslicer.levelspread import level_deviation
+from amslicer.lobespread import resonance_deviation
 from amslicer.manifest import LayerRecord, placement_of
 from amslicer.noise import NOISES
 from amslicer.painted import Painted, open_fields
@@ -79,10 +87,16 @@ class MaterialReport:
 
 @dataclass(frozen=True)
 class Check:
-    """One law, and what broke it."""
+    """One law, and what broke it.
+
+    Attributes:
+        made: whether there was anything to look at: blocks of the part that show one texture, for direction, period and
+            isotropy.
+    """
 
     name: str
     problems: tuple[str, ...]
+    made: bool = True
 
     @property
     def ok(self) -> bool:
@@ -119,7 +133,7 @@ class Report:
             "out": str(self.out),
             "layers": self.layers,
             "solid_pixels": self.solid_pixels,
-            "checks": [{"name": c.name, "ok": c.ok, "problems": list(c.problems)} for c in self.checks],
+            "checks": [{"name": c.name, "ok": c.ok, "made": c.made, "problems": list(c.problems)} for c in self.checks],
             "materials": {
                 name: {
                     "pixels": m.pixels, "ratio": m.ratio, "expected": m.expected, "error": m.error,
@@ -153,10 +167,10 @@ class _Findings:
     def add(self, law: str, problem: str) -> None:
         self.problems.setdefault(law, []).append(problem)
 
-    def check(self, law: str) -> Check:
+    def check(self, law: str, *, made: bool) -> Check:
         found = self.problems.get(law, [])
         more = [f"… and {len(found) - MAX_PROBLEMS} more"] if len(found) > MAX_PROBLEMS else []
-        return Check(law, tuple(found[:MAX_PROBLEMS] + more))
+        return Check(law, tuple(found[:MAX_PROBLEMS] + more), made)
 
 
 @dataclass(frozen=True)
@@ -244,18 +258,18 @@ def verify_stack(
                 f"(error {m.error:+.4f}, allowed ± {m.tolerance:.4f})",
             )
     _check_totals(stack, totals, findings)
+    # Of several lobes a block shows now one, now another: none is its direction.
+    looked_at = {DIRECTION: [] if lobes else of_low_isotropy(shown), PERIOD: shown, ISOTROPY: shown}
     for law, problems in (
         (VOLUME, _volume_problems(stack, sum(totals))),
         (WINDOWS, ratio_problems(levels, stack.materials, painted.placement.origin_mm)),
-        # Of several lobes a block shows now one, now another; what they are on average, the share of power along the
-        # painted normal shows too.
-        (DIRECTION, () if lobes else direction_problems(shown)),
-        (PERIOD, period_problems(shown, pattern.dimensions)),
-        (ISOTROPY, isotropy_problems(shown)),
+        (DIRECTION, direction_problems(looked_at[DIRECTION])),
+        (PERIOD, period_problems(looked_at[PERIOD], pattern.dimensions)),
+        (ISOTROPY, isotropy_problems(looked_at[ISOTROPY])),
     ):
         for problem in problems:
             findings.add(law, problem)
-    checks = tuple(findings.check(law) for law in LAWS)
+    checks = tuple(findings.check(law, made=law not in looked_at or len(looked_at[law]) >= MIN_BLOCKS) for law in LAWS)
     return Report(stack.folder, len(stack.records), sum(totals), checks, materials, tuple(levels), tuple(shown))
 
 
@@ -415,19 +429,28 @@ def ratio_tolerance(
         area = max(area, solid * pixel_periods * grid.layer_mm / depth)
     sigma = SPREAD * pattern.bandwidth * math.sin(math.pi * ratio) / math.sqrt(area)
     size = painted.placement.size_mm
+    corners = np.array([[0.0, 0.0, 0.0], size / 2, size])
+    normals, lobes = painted.normals(corners), job_lobes(job, painted)
+    axes = pattern.dimensions
+    # Of the part's volume, or of the cross-section that is most of it: a box as large.
+    filled = (solid * grid.voxel_mm3 / float(np.prod(size))) if axes == 3 else largest / (grid.columns * grid.rows)
+    sides = size[:axes] / period * min(1.0, filled) ** (1 / axes)
+    resonance = 0.0
+    if lobes is not None:
+        directions = lobes.all_directions(normals)
+        resonance = float(np.max(resonance_deviation(
+            0.0, ratio, lobes=directions, shares=lobes.shares, bandwidth=pattern.bandwidth, window_periods=sides
+        )))  # fmt: skip
+        normals = directions.reshape(-1, 3)
     if NOISES[pattern.noise].reads == "value":
-        solid_share = solid * grid.voxel_mm3 / float(np.prod(size))
-        sides = size[: pattern.dimensions] / period * min(1.0, solid_share) ** (1 / pattern.dimensions)
-        normals = painted.normals(np.array([[0.0, 0.0, 0.0], size / 2, size]))
         sigma = max(
             float(np.max(level_deviation(
                 *cumulative, profile=make_profile(pattern.profile), bandwidth=pattern.bandwidth,
-                dimensions=pattern.dimensions, window_periods=sides, normal=n,
+                dimensions=axes, window_periods=sides, normal=n,
             )))
             for n in (None, *normals)
         )  # fmt: skip
-    corners = np.array([[0.0, 0.0, 0.0], size / 2, size])
-    across = float(np.min(np.abs(painted.normals(corners)) @ size)) / period
+    across = float(np.min(np.abs(normals) @ size)) / period
     faces = ratio * (1 - ratio) / max(across, 1.0)
-    allowed = SIGMAS * sigma + faces + PIXEL_SHARE / math.sqrt(solid) + DEFECT / area
+    allowed = SIGMAS * math.hypot(sigma, resonance) + faces + PIXEL_SHARE / math.sqrt(solid) + DEFECT / area
     return min(allowed, max(ratio, 1 - ratio))

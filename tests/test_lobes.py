@@ -14,10 +14,11 @@ import amslicer
 from amslicer import analysis
 from amslicer.noise import NOISES, sample
 from amslicer.noise.lobes import Lobes, make_lobes
+from amslicer.pipeline import prepare
 from amslicer.reference import phasor
 
 Floats = NDArray[np.float64]
-DIRECTED = [name for name in NOISES if NOISES[name].directed]
+DIRECTED = [name for name in NOISES if NOISES[name].directed and not NOISES[name].at_nodes]
 Z = np.array([0.0, 0.0, 1.0])
 
 
@@ -187,6 +188,7 @@ def test_stacks_are_verified_and_wrong_ones_found(tmp_path: Path, noise: str, an
     amslicer.slice_job(job, tmp_path / "out")
     report = amslicer.verify(tmp_path / "out")
     assert report.ok, [c for c in report.checks if not c.ok]
+    assert [c.name.split(":")[0] for c in report.checks if not c.made] == ["direction"]
     parts.job(part, noise=noise, ratio=0.3, orientation=25, lobes=lobes_of(*angles), bandwidth=0.4, period=1.2)
     assert not amslicer.verify(tmp_path / "out", fields=tmp_path / "part.yaml").ok
 
@@ -229,6 +231,7 @@ def test_windows_scatter_no_further_than_foretold(
         ({"lobes": [{"angle": 0, "weight": 0}]}, r"pattern\.lobes\.0\.weight: .*greater than 0"),
         ({"lobes": lobes_of(*range(9))}, r"pattern\.lobes: .*at most 8"),
         ({"lobes": [{"angle": 5, "about": "x"}]}, r"lobes\.0\.about: x, but pattern\.dimensions is 2"),
+        ({"lobes": lobes_of(0, 90), "noise": "phacelle-simple"}, "phacelle-simple noise reads its direction at each"),
         ({"lobes": lobes_of(0, 90), "noise": "gabor-isotropic"}, "but gabor-isotropic noise has no direction"),
     ],
 )  # fmt: skip
@@ -242,3 +245,35 @@ def test_wrong_lobes_of_samples_are_refused() -> None:
         sample("gabor-isotropic", 0.0, 0.0, lobes=[(0, 1)])
     with pytest.raises(amslicer.UsageError, match="weight above 0"):
         sample("phasor", 0.0, 0.0, lobes=[(0, 1), (90, 0)])
+
+
+@pytest.mark.parametrize(
+    "lobes", [None, 90, [0, 90], [(0, 1, 2)], [("a", 1)], [(0, 1)] * 9, [(float("nan"), 1)]], ids=str
+)
+def test_lobes_that_are_none_are_refused(lobes: Any) -> None:
+    with pytest.raises(amslicer.UsageError, match="pairs of"):
+        sample("phasor", 0.0, 0.0, lobes=lobes)
+
+
+def test_no_points_have_no_values() -> None:
+    assert sample("phasor", np.zeros((0, 3)), 0.0).shape == (0, 3)
+
+
+def test_a_lobe_in_step_with_the_pixels_is_noted(tmp_path: Path) -> None:
+    """Sheets of the lobe lie along the pixel rows, ten pixels apart; those of the painted direction do not."""
+    settings: dict[str, Any] = {"printer": {"pitch_um": 100, "layer_um": 100}, "ratio": 0.25, "bandwidth": 0.02}
+    part = parts.plate(tmp_path, 40, 40)
+    for angle, lobe, noted in ((33, -33, True), (0, 33, False), (0, 0, True)):
+        notes = prepare(parts.job(part, orientation=angle, lobes=lobes_of(lobe), **settings)).notes()
+        assert any("rounded alike" in note for note in notes) == noted
+
+
+@pytest.mark.parametrize("noise", ["phasor", "gabor"])
+def test_resonances_are_in_the_tolerance_of_the_whole(tmp_path: Path, noise: str) -> None:
+    part = parts.plate(tmp_path, 30, 30)
+    for seed in range(1, 7):
+        job = parts.job(part, noise=noise, lobes=lobes_of(0, 60, 120), bandwidth=0.1, ratio=0.5, seed=seed)
+        amslicer.slice_job(job, tmp_path / "out", overwrite=True)
+        report = amslicer.verify(tmp_path / "out")
+        assert all(m.ok for m in report.materials.values()), (seed, report.materials)
+        assert report.materials["rigid"].tolerance < 0.2

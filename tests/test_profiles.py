@@ -19,7 +19,7 @@ from amslicer.noise import NOISES, Noise
 from amslicer.pipeline import prepare
 from amslicer.profiles import PROFILES, SHAPES, Profile, make_profile
 from amslicer.profiles.rank import BLENDS, SAMPLES, RankProfile, rank_profile, turn_of
-from amslicer.profiles.waveforms import WAVES, waves_of
+from amslicer.profiles.waveforms import WAVES
 
 Floats = NDArray[np.float64]
 # Without plateaus, so that a share of a turn says all; the last three are not the same both ways.
@@ -45,7 +45,8 @@ def shape(content: Any) -> Any:
 
 
 def ranked(content: Any) -> RankProfile:
-    return rank_profile(waves_of(shape(content)))
+    made = shape(content)
+    return rank_profile((WAVES[made],)) if isinstance(made, str) else rank_profile(made.waves(), made.axes())
 
 
 def phase_noise() -> Noise:
@@ -183,6 +184,8 @@ def test_two_humps_make_twice_as_many_sheets(tmp_path: Path) -> None:
         ({"blend": {"from": "sine", "to": "sawtooth"}}, r"pattern\.profile\.blend\.by' is missing"),
         ({"blend": {"from": "sine", "to": {"blend": {}}, "by": 0}}, "is no waveform"),
         ({"table": [0, 1], "square": 0.5}, "is no profile"),
+        ({"square": 0.3, "duty": 1}, r"unknown key 'pattern\.profile\.duty'"),
+        ({"table": [0, 1e7]}, r"pattern\.profile\.table\.1: .*less than or equal to 1000000"),
         ({"harmonics": [1, {"amplitude": 1, "fase": 2}]}, r"unknown key 'pattern\.profile\.harmonics\.1\.fase'"),
     ],
 )  # fmt: skip
@@ -202,7 +205,7 @@ def test_waveforms_with_a_direction_need_arrows(tmp_path: Path) -> None:
     part = parts.plate(tmp_path, 20, 20)
     around = {"expression": "atan2(y - 10, x - 10)*90/pi"}  # half a turn around the middle: n becomes -n
     prepare(parts.job(part, orientation=around, profile=EVEN_TABLE))
-    with pytest.raises(amslicer.JobError, match=r"pattern\.profile"):
+    with pytest.raises(amslicer.JobError, match=r"pattern\.profile: this table needs arrows"):
         prepare(parts.job(part, orientation=around, profile={"table": [0, 1, 0.3]}))
     with pytest.raises(amslicer.JobError, match="this table needs a phase, but gabor"):
         parts.job(part, noise="gabor", profile={"table": [0, 1, 0.3]})
@@ -241,3 +244,70 @@ def test_values_are_looked_up_by_the_share_of_values_above_them() -> None:
 def test_profiles_are_known_by_name_or_by_shape() -> None:
     assert make_profile("pwm") is PROFILES["pwm"]
     assert isinstance(make_profile(shape(EVEN_TABLE)), RankProfile)
+
+
+def turn_measure() -> Floats:
+    """Shares of a turn of the entries of a table."""
+    return np.diff(np.unwrap(turn_of(np.linspace(0, 4, SAMPLES + 1)), period=1))
+
+
+TIED: dict[str, Any] = {
+    "a wave and its opposite": {"blend": {"from": "sine", "to": {"harmonics": [-1]}, "by": 0.5}},
+    "triangle and table": {"blend": {"from": "pwm", "to": {"table": [-1, 1]}, "by": 0.5}},
+    "a thin square": {"square": 0.02},
+    "fine plateaus": {"table": ([1] * 8 + [0] * 8) * 16},
+    "small values": {"table": [0, 1e-10, 0.6e-10, 0.6e-10, 1e-10]},
+    "far from 0": {"table": [1e5, 1e5 + 3, 1e5 + 1]},
+    "two humps": {"harmonics": [0, 1]},
+}
+
+
+@pytest.mark.parametrize("name", list(TIED))
+def test_ratios_hold_where_values_tie(name: str) -> None:
+    """All levels of blends; a table's step is 1/6434 of a turn at most, and mirror images go together."""
+    for row in ranked(TIED[name]).rank_table(phase_noise()).ranks:
+        for c in (0.02, 0.22, 0.3, 0.7, 0.985):
+            assert turn_measure()[row < c].sum() == pytest.approx(c, abs=4 / 6434)
+
+
+@pytest.mark.parametrize(
+    "table", [[0, 0, 3, 1, 3], [0] * 40 + [1] * 20 + [0] * 40, np.exp(-(((np.arange(360) - 77) / 15) ** 2)).tolist(),
+              [*range(50), *range(49, -1, -1)]], ids=["five", "box", "bump", "ramps"],
+)  # fmt: skip
+def test_symmetric_tables_need_no_arrow_and_others_do(table: list[float]) -> None:
+    assert not ranked({"table": table}).arrows
+    assert ranked({"table": [*table, max(table) + 1, min(table), min(table)]}).arrows
+    assert ranked({"table": [v + 1e5 for v in [0, 3, 1]]}).arrows
+
+
+def test_harmonics_of_one_rounded_phase_are_even() -> None:
+    turned = [{"amplitude": a, "phase": round(h * 33.3333, 3)} for h, a in enumerate((0.3, 1, 0.5), 1)]
+    assert not ranked({"harmonics": turned}).arrows
+
+
+def test_verification_says_where_it_sees_no_sheets_of_that_period(tmp_path: Path) -> None:
+    job = parts.job(parts.plate(tmp_path, 40, 40), profile={"harmonics": [0, 1]}, ratio=0.5, orientation=30)
+    amslicer.slice_job(job, tmp_path / "out")
+    report = amslicer.verify(tmp_path / "out")
+    assert [c.name.split(":")[0] for c in report.checks if not c.made] == ["direction", "period", "isotropy"]
+    plain = parts.job(parts.plate(tmp_path, 40, 40), ratio=0.5, orientation=30)
+    amslicer.slice_job(plain, tmp_path / "plain")
+    assert all(c.made for c in amslicer.verify(tmp_path / "plain").checks)
+
+
+@pytest.mark.parametrize(
+    ("profile", "humps"),
+    [("pwm", 1), ("cyclic", 1), ({"harmonics": [0, 1]}, 2), ({"harmonics": [0, 0, 1]}, 3), ({"square": 0.2}, 1),
+     ({"table": [0, 1, 0.5, 0.5, 1]}, 2), ({"blend": {"from": "sine", "to": {"harmonics": [0, 1]}, "by": 0.5}}, 2)],
+    ids=str,
+)  # fmt: skip
+def test_sheets_to_a_period(profile: Any, humps: int) -> None:
+    assert make_profile(shape(profile)).humps == humps
+
+
+def test_thin_sheets_of_a_waveform_are_noted(tmp_path: Path) -> None:
+    printer = {"pitch_um": 40, "layer_um": 40, "smallest_feature_um": 200}
+    settings: dict[str, Any] = {"period": 0.5, "ratio": 0.5, "printer": printer}
+    for profile, noted in (("pwm", False), ({"harmonics": [0, 1]}, True)):
+        job = parts.job(parts.plate(tmp_path, 10, 10), profile=profile, **settings)
+        assert any("thinnest sheets are 125 µm" in note for note in prepare(job).notes()) == noted

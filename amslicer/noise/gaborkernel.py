@@ -17,6 +17,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from itertools import product
+from numbers import Integral, Real
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -32,6 +33,8 @@ if TYPE_CHECKING:
 MEAN_SQUARE_WEIGHT = 1 / 3  # of weights uniform in [-1, 1]
 STEPS = 20_001  # of integrals over the radius
 FAR = 6.0  # in 1/a: exp(-π a² r²) is 1e-49
+NO_FREQUENCY = 1e-6  # of F₀
+LEAST_ERROR = 1e-6  # smaller ones drown in the rounding of their integrals
 PER_CELL = 4  # impulses: hashed cells of this many, the same for every box that is asked for
 PAIRS_AT_ONCE = 4_000_000  # of points and impulses
 
@@ -58,9 +61,9 @@ class GaborKernel:
         if self.dimensions not in (1, 2, 3, 4):
             raise UsageError(f"dimensions is {self.dimensions}; Gabor kernels have 1 to 4")
         for name in ("magnitude", "width", "frequency"):
-            value = getattr(self, name)
-            if not 0 < value < math.inf:
-                raise UsageError(f"{name} is {value}; it is greater than 0")
+            value: object = getattr(self, name)
+            if not isinstance(value, int | float) or not 0 < value < math.inf:
+                raise UsageError(f"{name} is {value!r}; it is a number greater than 0")
         w = self.direction
         if w is not None and (len(w) != self.dimensions or not math.isclose(math.hypot(*w), 1, abs_tol=1e-6)):
             raise UsageError(f"direction is {w}; it is a unit vector of {self.dimensions} components")
@@ -90,10 +93,11 @@ class GaborKernel:
         return np.asarray((self.magnitude / (2 * self.width**self.dimensions) * (parts[0] + parts[1])) ** 2)
 
     def radial_power(self, f: Floats) -> Floats:
-        """(...,) |G|² of an isotropic kernel at frequencies > 0: (39)-(42)."""
+        """(...,) |G|² of an isotropic kernel at frequencies: (39)-(42)."""
         from scipy.special import ive
 
-        f, n, a, centre = np.asarray(f, np.float64), self.dimensions, self.width, self.frequency
+        n, a, centre = self.dimensions, self.width, self.frequency
+        f = np.maximum(np.asarray(f, np.float64), NO_FREQUENCY * centre)  # the limit at 0
         # I(x) exp(-π (f² + F₀²)/a²) with x = 2πF₀f/a²: the scaled Bessel function and the exponent of (f - F₀)².
         x = 2 * np.pi * centre * f / a**2
         scaled = ive(n / 2 - 1, x) * np.exp(-np.pi * (f - centre) ** 2 / a**2)
@@ -129,10 +133,11 @@ class GaborKernel:
 
         if not 0 < level < math.inf:
             raise UsageError(f"level is {level}; it is greater than 0")
-        least = 1e-9 / self.width
-        far = FAR / self.width
+        least, far = 1e-9 / self.width, FAR / self.width
         if self._envelope(least) <= level:
             return 0.0
+        if self._envelope(far) >= level:
+            raise UsageError(f"level is {level}; the envelope is {self._envelope(far):.1e} at {far:.4g}, far away")
         return float(brentq(lambda r: math.log(self._envelope(r) / level), least, far, xtol=1e-12))
 
     def error_of_radius(self, radius: float) -> float:
@@ -141,8 +146,8 @@ class GaborKernel:
 
     def radius_of_error(self, error: float) -> float:
         """Where cutting makes a relative error, 0 < e < 1: (23) solved for the radius."""
-        if not 0 < error < 1:
-            raise UsageError(f"error is {error}; it is between 0 and 1")
+        if not LEAST_ERROR <= error < 1:
+            raise UsageError(f"error is {error}; it is between {LEAST_ERROR:g} and 1")
         r, e = self._errors()
         return float(np.interp(-error, -e, r))
 
@@ -199,6 +204,7 @@ def gabor_noise(
         radius: > 0.
         level: another level, other impulses.
     """
+    points = _checked(points, kernel.dimensions, seed, density=density, radius=radius)
     return _convolved(kernel.at, points, kernel.dimensions, density, seed, np.full(len(points), radius), level)
 
 
@@ -222,6 +228,10 @@ def varying_gabor_noise(
     """
     from scipy.special import j0
 
+    points = _checked(points, 2, seed, impulses=impulses, magnitude=magnitude)
+    width, frequency = (np.broadcast_to(np.asarray(v, np.float64), len(points)) for v in (width, frequency))
+    if not (np.all(width > 0) and np.all(frequency > 0) and 0 < level_share < 1):
+        raise UsageError("width and frequency are greater than 0 at every point, and level_share is between 0 and 1")
     radius = np.sqrt(-np.log(level_share) / np.pi) / width
     level = np.floor(np.log2(radius)).astype(int)
     alpha = radius / 2.0**level - 1
@@ -247,6 +257,19 @@ def varying_gabor_noise(
             noise = _convolved(kernel, points[here], 2, density, seed, radius[here], int(number), which=True)
             total[here] += weight[here] * noise
     return total
+
+
+def _checked(points: Floats, dimensions: int, seed: int, **positive: float) -> Floats:
+    """(N, n) points, at least one, of good arguments."""
+    points = np.asarray(points, np.float64)
+    if points.ndim != 2 or points.shape[1] != dimensions or not len(points) or not np.isfinite(points).all():
+        raise UsageError(f"points have the shape {points.shape}; they are (N, {dimensions}) finite numbers, N > 0")
+    if not isinstance(seed, Integral) or not 0 <= int(seed) < 1 << 64:
+        raise UsageError(f"seed is {seed!r}; it is a whole number from 0 to 2^64 - 1")
+    for name, value in positive.items():
+        if not isinstance(value, Real) or not 0 < value < math.inf:
+            raise UsageError(f"{name} is {value!r}; it is a number greater than 0")
+    return points
 
 
 def _bessel(dimensions: int, x: Floats) -> Floats:

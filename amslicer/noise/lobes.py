@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 MOST = 8  # lobes: 2^7 ways to point
 NORMALS_AT_ONCE = 1 << 14
-TIED = 1e-9  # ways to point that are as good as each other: the first, with fewest directions reversed, is taken
+TIED = 1e-9  # ways to point that are as good as each other: the first is taken, so that rounding decides nothing
 
 
 @dataclass(frozen=True, eq=False)

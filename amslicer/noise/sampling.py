@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from numbers import Integral, Real
 from typing import TYPE_CHECKING, Any
 
@@ -11,6 +12,7 @@ from amslicer import reference
 from amslicer.errors import UsageError
 from amslicer.noise import NOISES
 from amslicer.noise.gabor import IsotropicGabor
+from amslicer.noise.lobes import MOST as MAX_LOBES
 from amslicer.noise.phacelle import Phacelle
 from amslicer.specification import MAX_SEED
 
@@ -55,11 +57,10 @@ def sample(
     if lobes and (NOISES[name].at_nodes or not NOISES[name].directed):
         has = "reads its direction at each point" if NOISES[name].directed else "has no direction"
         raise UsageError(f"lobes are {lobes!r}, but {name} {has}", hint="leave them out")
-    if any(not np.isfinite(angle) or not 0 < weight < np.inf for angle, weight in lobes):
-        raise UsageError(
-            f"lobes are {lobes!r}; each is (degrees, weight above 0)", hint="for example [(0, 1), (90, 1)]"
-        )
+    _check_lobes(lobes)
     points = np.stack(np.broadcast_arrays(*(np.asarray(c, np.float64) for c in (x, y, z))), axis=-1).reshape(-1, 3)
+    if not len(points):
+        return np.zeros(np.broadcast_shapes(*(np.shape(c) for c in (x, y, z))), np.complex128)
     periods = _bounds(period, points) if callable(period) else (float(period), float(period))
     given: dict[str, Any] = {} if impulses is None else {"impulses": impulses}
     noise = NOISES[name](periods_mm=periods, bandwidth=bandwidth, dimensions=dimensions, seed=seed, **given)
@@ -88,6 +89,18 @@ def sample(
         x, y, z, period=clipped, bandwidth=bandwidth, dimensions=dimensions, seed=seed, normal=normal,
         isotropy=isotropy, impulses=noise.impulses, periods=periods, lobes=lobes,
     )  # fmt: skip
+
+
+def _check_lobes(lobes: object) -> None:
+    said = f"lobes are {lobes!r}; they are up to {MAX_LOBES} pairs of (degrees, weight above 0)"
+    hint = "for example [(0, 1), (90, 1)]"
+    if not isinstance(lobes, Sequence) or len(lobes) > MAX_LOBES:
+        raise UsageError(said, hint=hint)
+    for lobe in lobes:
+        if not isinstance(lobe, Sequence) or len(lobe) != 2 or not all(isinstance(v, Real) for v in lobe):
+            raise UsageError(said, hint=hint)
+        if not np.isfinite(lobe[0]) or not 0 < lobe[1] < np.inf:
+            raise UsageError(said, hint=hint)
 
 
 def _is_seed(value: object) -> bool:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from amslicer.profiles.key import CYCLIC, SYMMETRIC
 from amslicer.profiles.profile import ROUNDING, Profile, RankTable
 from amslicer.profiles.rank import rank_profile
-from amslicer.profiles.waveforms import SHAPES, ProfileSpec, Shape, waves_of
+from amslicer.profiles.waveforms import SHAPES, ProfileSpec, Shape
 
 if TYPE_CHECKING:
     from amslicer.profiles.key import KeyProfile
@@ -31,7 +31,22 @@ PROFILES: dict[str, KeyProfile] = {
 
 def make_profile(spec: str | Shape) -> Profile:
     """The profile that a job asks for."""
-    return PROFILES[spec] if isinstance(spec, str) else rank_profile(waves_of(spec))
+    return PROFILES[spec] if isinstance(spec, str) else rank_profile(spec.waves(), spec.axes())
 
 
-__all__ = ["PROFILES", "ROUNDING", "SHAPES", "Profile", "ProfileSpec", "RankTable", "Shape", "make_profile"]
+def profile_name(spec: str | Shape) -> str:
+    """What messages call it."""
+    return spec if isinstance(spec, str) else f"this {next(iter(type(spec).model_fields))}"
+
+
+__all__ = [
+    "PROFILES",
+    "ROUNDING",
+    "SHAPES",
+    "Profile",
+    "ProfileSpec",
+    "RankTable",
+    "Shape",
+    "make_profile",
+    "profile_name",
+]

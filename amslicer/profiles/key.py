@@ -47,6 +47,11 @@ class KeyProfile:
     key: Callable[[NDArray[Any]], Floats]
     arrows: bool
 
+    @property
+    def humps(self) -> int:
+        """As of Profile."""
+        return 1
+
     def rank_table(self, noise: Noise) -> RankTable | None:
         """None: the key says it all."""
         return None

@@ -58,6 +58,10 @@ class Profile(Protocol):
     def arrows(self) -> bool:
         """Whether the sign of the phase counts, so that the painted direction must be an arrow."""
 
+    @property
+    def humps(self) -> int:
+        """How many sheets of the first material there are to a period."""
+
     def rank_table(self, noise: Noise) -> RankTable | None:
         """What the device looks up, or None where it compares keys (cl/deposit.h)."""
 

@@ -2,8 +2,8 @@
 
 The phase is uniform, so the share of a turn where f is higher than f(ϕ), the rank r(ϕ), is uniform too, and material m
 where c(m-1) <= r < c(m) has its ratio, whatever the waveform. Places of equal f follow each other from where a smoothed
-f is highest: a plateau fills up from its middle. Values of Gaussian noises stand for phases from 0 to π: the share of
-all values above one is |ϕ|/π.
+f is highest, then by their distance from ϕ = 0: a plateau fills up from its middle. Values of Gaussian noises stand for
+phases from 0 to π: the share of all values above one is |ϕ|/π.
 
 The device looks ranks up (cl/deposit.h), by a stand-in for the angle that takes one division: with s = |Re| + |Im|,
 d = 1 - Re/s where Im >= 0, else 3 + Re/s, from 0 to 4 over the turn.
@@ -30,12 +30,14 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
     Complexes = NDArray[np.complex128]
 
-SAMPLES = 8192  # of a turn: an edge is off by at most 1/16384 of a period
+SAMPLES = 8192  # of a turn: an edge is off by at most 1/12868 of a period, half the widest step of the stand-in
 BLENDS = 129  # levels of a blend; in between the nearest is taken, so that each has exactly the ratios asked for
 VALUE_REACH = 6.0  # standard deviations of values
 SMOOTH = 16  # harmonics that are left of a smoothed waveform, the h-th times exp(-h²/SMOOTHING)
 SMOOTHING = 8.0
-DECIMALS = 9  # of values: closer ones are equal
+DECIMALS = 9  # of values, as shares of their range: closer ones are equal
+EVEN = 1e-4  # of the range: two sides of an even waveform differ by no more
+PROBES = 61  # places where a waveform is first asked whether it is even
 LOOKED_AT = 5  # levels of a blend whose largest Fourier coefficients stand for all
 COARSE = 2048  # samples of a turn for Fourier coefficients
 ALWAYS, NEVER = np.float32(2.0), np.float32(-1.0)  # beyond 0…1
@@ -52,6 +54,17 @@ class RankProfile:
 
     waves: tuple[Waveform, ...]
     arrows: bool
+
+    @property
+    def humps(self) -> int:
+        """As of Profile; of a blend the larger number."""
+        most = 1
+        for wave in self.waves:
+            values = wave(np.arange(COARSE) / COARSE)
+            steps = np.diff(values, append=values[:1])
+            steps = steps[np.abs(steps) > EVEN * np.ptp(values) / COARSE]
+            most = max(most, int(np.count_nonzero((steps > 0) & (np.roll(steps, -1) < 0))))
+        return most
 
     @property
     def blends(self) -> Floats:
@@ -123,34 +136,39 @@ class RankProfile:
         """
         blends = self.blends if most is None or len(self.waves) == 1 else np.linspace(0.0, 1.0, most)
         middle, measure = (edges[1:] + edges[:-1]) / 2, np.diff(edges) / (edges[-1] - edges[0])
-        values = [np.asarray(wave(middle), np.float64) for wave in self.waves]
-        smooth = [smoothed(wave)(middle) for wave in self.waves]
+        within = [np.asarray(wave(np.arange(COARSE) / COARSE), np.float64) for wave in self.waves]
+        scale = 1 / max(float(np.ptp(some)) for some in within)
+        values = [scale * (wave(middle) - some.min()) for wave, some in zip(self.waves, within, strict=True)]
+        smooth = [scale * smoothed(wave)(middle) for wave in self.waves]
+        aside = np.abs(middle - np.round(middle))
         out = np.empty((len(blends), len(middle)))
         for row, t in zip(out, blends, strict=True):
             value, softer = (_between(pair, t) for pair in (values, smooth))
-            order = np.lexsort((-softer.round(DECIMALS), -value.round(DECIMALS)))
+            order = np.lexsort((aside.round(DECIMALS), -softer.round(DECIMALS), -value.round(DECIMALS)))
             row[order] = np.cumsum(measure[order]) - measure[order] / 2
         if not self.arrows and edges[-1] - edges[0] > 0.75:  # a whole turn: the same to the last bit for ϕ and -ϕ
             out = (out + out[:, ::-1]) / 2
         return out
 
 
-def rank_profile(waves: Sequence[Waveform]) -> RankProfile:
-    """The profile of one waveform, or of a blend of two, turned together so that they are even where they can be."""
+def rank_profile(waves: Sequence[Waveform], axes: Sequence[float] = (0.0,)) -> RankProfile:
+    """The profile of one waveform, or of a blend of two, turned together so that they are even where they can be.
+
+    Args:
+        axes: shares of a turn about which they may be even.
+    """
+    probes = np.arange(1, PROBES + 1) / (2 * PROBES + 1)
     turn = np.arange(COARSE) / COARSE
-    for start in _axes(waves):
-        turned = tuple(_turned(wave, start) for wave in waves)
-        if all(np.allclose(wave(turn), wave(-turn), atol=1e-6 * np.ptp(wave(turn))) for wave in turned):
-            return RankProfile(turned, arrows=False)
+    ranges = [np.ptp(wave(turn)) for wave in waves]
+
+    def even(start: float, at: Floats) -> bool:
+        pairs = zip(waves, ranges, strict=True)
+        return all(np.abs(wave(start + at) - wave(start - at)).max() <= EVEN * size for wave, size in pairs)
+
+    for start in axes:
+        if even(start, probes) and even(start, turn):
+            return RankProfile(tuple(_turned(wave, start) for wave in waves), arrows=False)
     return RankProfile(tuple(waves), arrows=True)
-
-
-def _axes(waves: Sequence[Waveform]) -> list[float]:
-    """Shares of a turn about which the first waveform may be even: 0, and those of its strongest harmonic."""
-    spectrum = np.fft.rfft(waves[0](np.arange(COARSE) / COARSE))
-    strongest = 1 + int(np.argmax(np.abs(spectrum[1 : COARSE // 4])))
-    crest = -np.angle(spectrum[strongest]) / (2 * np.pi * strongest)
-    return [0.0, *(crest + np.arange(2 * strongest) / (2 * strongest))]
 
 
 def _turned(wave: Waveform, start: float) -> Waveform:

@@ -24,6 +24,8 @@ Waveform = Callable[[Any], Any]
 """f of shares of a turn, float64, any shape; what lies outside 0…1 is taken modulo 1."""
 
 MAX_SAMPLES, MAX_HARMONICS = 1024, 64
+Highest = Annotated[Number, Field(ge=-1e6, le=1e6)]
+"""A value of a waveform: larger ones lose the digits that tell them apart."""
 
 
 def sine(t: Floats) -> Floats:
@@ -67,6 +69,10 @@ class Shape(BaseModel):
         """One waveform, or the two that a field blends."""
         raise NotImplementedError
 
+    def axes(self) -> list[float]:
+        """Shares of a turn about which the waveform may be even, 0 first."""
+        return [0.0]
+
 
 class SquareShape(Shape):
     """A square wave."""
@@ -81,7 +87,7 @@ class SquareShape(Shape):
 class TableShape(Shape):
     """A waveform by its values, evenly spread over a turn, with straight lines between them."""
 
-    table: tuple[Number, ...] = Field(
+    table: tuple[Highest, ...] = Field(
         min_length=2, max_length=MAX_SAMPLES, description="values over a period, the first one at its start"
     )
 
@@ -97,13 +103,17 @@ class TableShape(Shape):
         place = np.arange(len(values)) / len(self.table)
         return (lambda t: np.interp(np.asarray(t) % 1, place, values),)
 
+    def axes(self) -> list[float]:
+        """At a value, or halfway between two."""
+        return [k / (2 * len(self.table)) for k in range(2 * len(self.table))]
+
 
 class Harmonic(BaseModel):
     """One sine of a sum."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    amplitude: Number = Field(description="of amplitude·cos(h ϕ + phase)")
+    amplitude: Highest = Field(description="of amplitude·cos(h ϕ + phase)")
     phase: Number = Field(default=0.0, description="degrees; -90 makes it a sine")
 
 
@@ -137,6 +147,11 @@ class HarmonicsShape(Shape):
             return np.asarray(sum(a.amplitude * np.cos(2 * np.pi * h * t + np.deg2rad(a.phase)) for h, a in terms))
 
         return (wave,)
+
+    def axes(self) -> list[float]:
+        """Where the strongest harmonic is even."""
+        h, strongest = max(enumerate(self.harmonics, 1), key=lambda pair: abs(pair[1].amplitude))
+        return [0.0, *((k / 2 - strongest.phase / 360) / h % 1 for k in range(2 * h))]
 
 
 def _wave_kind(value: Any) -> str | None:
@@ -184,6 +199,11 @@ class BlendShape(Shape):
     def waves(self) -> tuple[Waveform, ...]:
         """Both."""
         return *waves_of(self.blend.start), *waves_of(self.blend.end)
+
+    def axes(self) -> list[float]:
+        """Those of either."""
+        ends = self.blend.start, self.blend.end
+        return [axis for end in ends for axis in ([0.0] if isinstance(end, str) else end.axes())]
 
 
 SHAPES: dict[str, type[Shape]] = {
