@@ -181,6 +181,7 @@ PATTERN: dict[str, SearchStrategy[Any]] = {
     "bandwidth": numbers(0.4, 1),
     "impulses": numbers(3, 10),
     "alignment": st.sampled_from([0, 2]),
+    "lobes": st.sampled_from([[{"angle": 20.0}], [{"angle": 0}, {"angle": 100, "weight": 0.5, "about": "z"}]]),
     "evaluate": st.sampled_from(["lattice", "exact"]),
     "seed": st.one_of(st.integers(0, 9), st.just(2**64 - 1)),
 }
@@ -216,8 +217,11 @@ def jobs(draw: st.DrawFn) -> dict[str, Any]:
         pattern = {k: v for k, v in pattern.items() if k != "alignment"}
         if _needs_arrows(pattern.get("profile", "pwm")):
             del pattern["profile"]
-    if pattern.get("noise") == "phacelle":
+    if pattern.get("noise", "").startswith("phacelle"):
         pattern.pop("impulses", None)
+    kind = NOISES[pattern.get("noise", "phasor")]
+    if kind.at_nodes or not kind.directed:
+        pattern.pop("lobes", None)
     arrows = _needs_arrows(pattern.get("profile", "pwm"))
     painted = {"orientation": orientations(dimensions, arrows=arrows), "isotropy": fields(0, 1)}
     return {
@@ -303,6 +307,8 @@ OUT_OF_RANGE: Mapping[str, tuple[Any, ...]] = {
     "bandwidth": (0, -0.5, 2.1),
     "impulses": (0, 1.9, 101),
     "alignment": (-1, 10_001),
+    "weight": (0, -1),
+    "about": ("w", ""),
     "evaluate": ("fast",),
     "seed": (-1, 2**64, 1.5),
     "axis": ("w", ""),
