@@ -113,8 +113,9 @@ def held_back(part: Path, period: Any, places: Floats) -> Floats:
     return np.clip(painted.envelope_periods(places, periods), 0.8, periods)
 
 
-@pytest.mark.parametrize("bandwidth", [0.25, 0.5, 1.0])
-@pytest.mark.parametrize("angle", [30, 45, 60, 90, 120, 150])
+@pytest.mark.parametrize(
+    ("angle", "bandwidth"), [(30, 0.5), (45, 0.5), (60, 0.5), (90, 0.25), (90, 0.5), (90, 1.0), (120, 0.5), (150, 0.5)]
+)
 def test_spectrum_of_variance_has_no_middle(angle: float, bandwidth: float) -> None:
     """Paper Fig. 7: less than a hundredth of the energy lies below half the carrier, of the dual form at any angle."""
     at = (np.arange(480) + 0.5) / 10

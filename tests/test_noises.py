@@ -80,7 +80,7 @@ def test_nothing_about_the_run_changes_a_byte(tmp_path: Path, noise: str, dimens
 @pytest.mark.parametrize("noise", list(NOISES))
 def test_stacks_are_verified(tmp_path: Path, noise: str) -> None:
     for dimensions, size in ((2, (40, 30, 0.2)), (3, (16, 12, 8))):
-        for seed in (1, 2, 3):
+        for seed in (1, 2, 3) if NOISES[noise].directed else (1,):  # twenty times as slow
             job = make(tmp_path, size, noise, dimensions, seed=seed)
             amslicer.slice_job(job, tmp_path / "out", overwrite=True)
             report = amslicer.verify(tmp_path / "out")
