@@ -25,6 +25,7 @@ WINDOW = 1.5  # periods: the structure tensor's Gaussian window
 BAND = (0.6, 1.4)  # carriers: where the period's power is looked for
 # Of each side falls to zero in a spectrum; a Hann window throws away so much that seeds scatter twice as far.
 TAPER = 0.25
+DECADES = 3.0  # of power that a picture of a spectrum shows
 
 
 def signed(labels: NDArray[np.uint8]) -> NDArray[np.float32]:
@@ -154,6 +155,19 @@ def power(field: NDArray[np.floating], pitch_mm: Pitch) -> tuple[Floats, Floats]
     mirrored = slice(1, (columns + 1) // 2)  # columns whose mirror image rfft2 leaves out
     spectrum[:, mirrored] *= 2
     return spectrum, np.hypot(fy[:, None], fx[None, :])
+
+
+def power_map(field: NDArray[np.floating]) -> Floats:
+    """(H, W) power under a Hann window, the mean removed, frequency 0 in the middle: a spectrum to look at."""
+    values = np.asarray(field, np.float64)
+    window = np.hanning(values.shape[0])[:, None] * np.hanning(values.shape[1])
+    centred = values - np.sum(values * window) / np.sum(window)
+    return np.asarray(np.abs(np.fft.fftshift(np.fft.fft2(centred * window))) ** 2)
+
+
+def decades(power: Floats) -> Floats:
+    """Logarithms to the base 10 of powers as shares of the most, -12 at the least."""
+    return np.asarray(np.log10(np.maximum(power / max(float(power.max()), np.finfo(float).tiny), 1e-12)))
 
 
 def measured_period(field: NDArray[np.floating], pitch_mm: Pitch, period_mm: float) -> float:

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 LOBES = (3, 4, 6, 8)  # Fig. 11 has 32 too, which look like as many as one likes
 SUMS = (1, 2, 3, 5, 8, 16)  # harmonics of Fig. 13
-PANELS = 5  # of the strips of Figs 1 and 15
+PANELS = 5  # of the strips of phasor Fig. 1 and Gabor Fig. 15
 SEEN_ERROR = 4.0  # times as dark as the noise
 
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from amslicer.analysis import DECADES, decades, power_map
 from amslicer.noise import NOISES, sample
 from amslicer.pictures import BACKGROUND, GAP, INK, TEXT_HEIGHT
 from amslicer.profiles import PROFILES, make_profile
@@ -32,7 +33,6 @@ BANDWIDTH, ORIENTATION, SEED = 0.5, 30.0, 1
 TWO, THREE = (0.3,), (0.2, 0.55)  # cumulative ratios
 SPECTRUM_PERIODS, SPECTRUM_REACH = 40.0, 2.5  # of the plane whose spectrum is shown; up to this many cycles a period
 SHEET_COLORS = 32  # of a sheet: greys and materials; a quarter of the bytes
-DECADES = 3.0  # of power that a spectrum shows
 HARMONICS = HarmonicsShape.model_validate({"harmonics": [0.4, 1]})
 WAVEFORMS = {
     "harmonics, 40 %": HARMONICS,
@@ -141,9 +141,7 @@ def _colored(labels: NDArray[np.uint8]) -> Picture:
 
 def spectrum(values: Floats) -> Picture:
     """Power of values on a plane of SPECTRUM_PERIODS, on a logarithmic scale; the middle is frequency 0."""
-    window = np.hanning(PIXELS) * np.hanning(PIXELS)[:, None]
-    centred = values - np.sum(values * window) / np.sum(window)
-    power = np.abs(np.fft.fftshift(np.fft.fft2(centred * window))) ** 2
+    power = power_map(values)
     reach = round(SPECTRUM_REACH * SPECTRUM_PERIODS)
     power = power[PIXELS // 2 - reach : PIXELS // 2 + reach, PIXELS // 2 - reach : PIXELS // 2 + reach]
     rows = np.arange(PIXELS) * (2 * reach) // PIXELS
@@ -152,5 +150,5 @@ def spectrum(values: Floats) -> Picture:
 
 def shaded(power: Floats) -> Picture:
     """DECADES of power as greys, the most white."""
-    shade = np.clip(1 + np.log10(np.maximum(power / max(power.max(), np.finfo(float).tiny), 1e-12)) / DECADES, 0, 1)
+    shade = np.clip(1 + decades(power) / DECADES, 0, 1)
     return np.repeat((255 * shade).astype(np.uint8)[..., None], 3, axis=-1)

@@ -72,17 +72,13 @@ class DeviceGenerator:
         starts = device.buffer(ends.astype(np.uint32))
         entries, overlaps = (device.empty(size * int(ends[-1])) for size in (4, 8))
         device.run(find, count, counted, starts, entries, overlaps, *tables, *sizes, np.uint32(1), queue=queue)
-        before, after, known_here = (
-            device.empty(z.nbytes),
-            device.empty(z.nbytes),
-            device.buffer(known.astype(np.uint8)),
-        )
+        before, after = device.empty(z.nbytes), device.empty(z.nbytes)
+        known_before = device.buffer(known.astype(np.uint8))
         device.write(before, z, queue)
         for number in range(sweeps + 1):
             device.run(
                 device.kernel("sweep"), count, after, before, starts, counted, entries, overlaps,
-                known_here,
-                np.uint32(number == 0), np.uint32(count), queue=queue,
+                known_before, np.uint32(number == 0), np.uint32(count), queue=queue,
             )  # fmt: skip
             before, after = after, before
         out = np.empty_like(z)

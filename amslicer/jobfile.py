@@ -277,7 +277,7 @@ def _refuse_contradictions(spec: JobFile, origin: Origin) -> None:
                 f"pattern.lobes.{i}.about: {lobe.about}, but pattern.dimensions is 2: the same in every layer",
                 "set pattern.dimensions to 3, or turn about z",
             )
-    if NOISES[pattern.noise].reads == "value":
+    if kind.reads == "value":
         needs: tuple[tuple[str, bool, Any, Any], ...] = (
             ("profile", make_profile(pattern.profile).arrows, profile_name(pattern.profile), "pwm"),
             ("alignment", pattern.alignment > 0, pattern.alignment, 0),

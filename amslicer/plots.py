@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
     Pitch = tuple[float, float]
 
-DECADES = 3.0  # of power that a spectrum shows
 ERRORS = np.geomspace(0.005, 0.5, 60)  # of truncation
 
 
@@ -51,13 +50,9 @@ def plot_spectrum(
     """
     axes = ax or _axes()
     values = np.asarray(field, np.float64) ** 2 if of_variance else np.asarray(field, np.float64)
-    rows, columns = values.shape
-    window = np.hanning(rows)[:, None] * np.hanning(columns)
-    centred = values - np.sum(values * window) / np.sum(window)
-    power = np.abs(np.fft.fftshift(np.fft.fft2(centred * window))) ** 2
-    decades = 10 * np.log10(np.maximum(power / max(power.max(), np.finfo(float).tiny), 1e-12))
+    decibels = 10 * analysis.decades(analysis.power_map(values))
     x, y = 0.5 / pitch_mm[0], 0.5 / pitch_mm[1]
-    shown = axes.imshow(decades, cmap="gray", vmin=-10 * DECADES, vmax=0, extent=(-x, x, -y, y))
+    shown = axes.imshow(decibels, cmap="gray", vmin=-10 * analysis.DECADES, vmax=0, extent=(-x, x, -y, y))
     axes.figure.colorbar(shown, ax=axes, label="dB")
     axes.set(xlabel="cycles per mm along x", ylabel="along y", title="spectrum of variance" if of_variance else "power")
     return axes

@@ -2,11 +2,9 @@
 // w(|d|) exp(i(k·d + φ)) over the kernels that reach its tile.
 
 #include "tile.h"
+#include "envelope.h"
 
 #define VECTORS (TILE / VECTOR)
-#define intV CAT(int, VECTOR)
-#define to_intV CAT(convert_int, VECTOR)
-#define to_floatV CAT(convert_float, VECTOR)
 
 // field, tiles, needed, starts, entries, axes and first_tile as in rank1.cl; kernels: (height of the block's first plane above
 // the centre in mm, wave along z in rad/mm, phase in rad, radius in mm); envelope: samples + 2 values of w over (|d|/radius)²
@@ -48,14 +46,7 @@ kernel void radial(global float *restrict field, global const int2 *restrict til
             const float phase = fma(axes_y[j].wave, dy, across);
             for (int v = 0; v < VECTORS; ++v) {
                 const floatV dx = fma(lane + (float)(v * VECTOR), (floatV)nodes_x.x, (floatV)left);
-                const floatV q = fmin(fma(dx * dx, (floatV)scale, (floatV)yz), (floatV)1.0f) * (float)samples;
-                const intV place = to_intV(q);
-                floatV low, high;
-                for (int i = 0; i < VECTOR; ++i) {
-                    ((float *)&low)[i] = envelope[((const int *)&place)[i]];
-                    ((float *)&high)[i] = envelope[((const int *)&place)[i] + 1];
-                }
-                const floatV weight = fma(q - to_floatV(place), high - low, low);
+                const floatV weight = weight_of(dx, yz, scale, envelope, samples);
                 floatV cosine;
                 const floatV sine = sincos(fma((floatV)axes_x[j].wave, dx, (floatV)phase), &cosine);
                 sum[row][0][v] = fma(weight, cosine, sum[row][0][v]);

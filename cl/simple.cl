@@ -2,11 +2,9 @@
 // its tile, the sign being that of k(x) with the normal painted at the kernel: of k and -k the one is the other's conjugate.
 
 #include "tile.h"
+#include "envelope.h"
 
 #define VECTORS (TILE / VECTOR)
-#define intV CAT(int, VECTOR)
-#define to_intV CAT(convert_int, VECTOR)
-#define to_floatV CAT(convert_float, VECTOR)
 
 // As radial.cl; kernels: (height of the block's first plane above the centre in mm, nothing, phase in rad, radius in mm); normals:
 // painted at their centres; waves: k at the nodes of the tiles from first_tile on, float [plane][tile][row of nodes][x, y, z]
@@ -48,14 +46,7 @@ kernel void simple(global float *restrict field, global const int2 *restrict til
             for (int v = 0; v < VECTORS; ++v) {
                 const floatV kx = k[v], ky = k[VECTORS + v], kz = k[2 * VECTORS + v];
                 const floatV dx = fma(lane + (float)(v * VECTOR), (floatV)nodes_x.x, (floatV)left);
-                const floatV q = fmin(fma(dx * dx, (floatV)scale, (floatV)yz), (floatV)1.0f) * (float)samples;
-                const intV place = to_intV(q);
-                floatV low, high;
-                for (int i = 0; i < VECTOR; ++i) {
-                    ((float *)&low)[i] = envelope[((const int *)&place)[i]];
-                    ((float *)&high)[i] = envelope[((const int *)&place)[i] + 1];
-                }
-                const floatV weight = fma(q - to_floatV(place), high - low, low);
+                const floatV weight = weight_of(dx, yz, scale, envelope, samples);
                 const floatV along = fma(kx, (floatV)n.x, fma(ky, (floatV)n.y, kz * n.z));
                 const floatV phase = select((floatV)shape.z, (floatV)-shape.z, along < 0.0f);
                 floatV cosine;

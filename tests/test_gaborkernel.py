@@ -240,6 +240,13 @@ def test_wrong_arguments_are_refused(wrong: dict[str, Any]) -> None:
         gabor_noise(ISOTROPIC, **{**good, **wrong})
 
 
+def test_parameters_that_fit_no_points_are_refused() -> None:
+    with pytest.raises(amslicer.UsageError, match=r"width has the shape \(3,\)"):
+        varying_gabor_noise(
+            np.zeros((4, 2)), magnitude=1.0, width=np.ones(3), frequency=np.ones(4), impulses=32, seed=1
+        )
+
+
 def test_power_at_no_frequency_is_its_limit() -> None:
     for n in (1, 2, 3, 4):
         near, at = GaborKernel(**PAPER, dimensions=n).radial_power(np.array([1e-4, 0.0]))

@@ -115,7 +115,7 @@ def test_device(device: Device, name: str, cumulative: list[float]) -> None:
     ratios = np.array(cumulative)[:, None, None]
     got = device_labels(device, g, ratios, np.ones(g.shape, np.uint8), profile=profile)
     expected = reference.waveform_labels(g, ratios[:, None], profile.waves[0])
-    # The nearest of 8192 entries: an edge moves by at most 1/16384 of a turn, and a level has up to four edges.
+    # The nearest of 8192 entries: an edge moves by up to 1/12868 of a turn, on average half; a level has up to four.
     off = got[g != 0] != expected[g != 0]
     print(f"{name}: {np.mean(off):.5f} of the pixels differ")
     assert np.mean(off) <= 4 * len(cumulative) / 16384 + 3e-4

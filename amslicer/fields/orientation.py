@@ -145,7 +145,7 @@ def _largest_eigenvectors(tensor: Floats, guess: Floats) -> Floats:
     """(N, 3) of (N, 3, 3) symmetric tensors of trace 1, from a guess.
 
     Samples that nearly agree leave the other eigenvalues tiny, so a few products with the tensor are as good as a
-    decomposition, and ten times as fast; what they do not settle is decomposed.
+    decomposition, and quicker; what they do not settle is decomposed.
     """
     found = guess
     for _ in range(POWER_STEPS):

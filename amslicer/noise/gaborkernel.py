@@ -220,7 +220,7 @@ def varying_gabor_noise(
     Args:
         points: (N, 2).
         magnitude: K.
-        width, frequency: (N,) a and F₀ at the points.
+        width, frequency: (N,) a and F₀ at the points, or one number.
         impulses: N per kernel's area.
         level_share: of the envelope's height where kernels end; as in `GaborKernel.envelope_radius`.
         even: weights that keep the variance, √(1-α)/(1+α) and 2√α/(1+α); else the paper's (25) and (26), with which it
@@ -229,6 +229,11 @@ def varying_gabor_noise(
     from scipy.special import j0
 
     points = _checked(points, 2, seed, impulses=impulses, magnitude=magnitude)
+    for name, value in (("width", width), ("frequency", frequency)):
+        if np.shape(value) not in ((), (1,), (len(points),)):
+            raise UsageError(
+                f"{name} has the shape {np.shape(value)}; it is one number, or one for each of {len(points)} points"
+            )
     width, frequency = (np.broadcast_to(np.asarray(v, np.float64), len(points)) for v in (width, frequency))
     if not (np.all(width > 0) and np.all(frequency > 0) and 0 < level_share < 1):
         raise UsageError("width and frequency are greater than 0 at every point, and level_share is between 0 and 1")
