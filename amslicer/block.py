@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from amslicer.evaluator import ROWS, Evaluator, work_shape
+from amslicer.evaluator import ROWS, work_shape
 from amslicer.tiles import needed_tiles
 
 if TYPE_CHECKING:
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
     from amslicer.lattice import Lattice
     from amslicer.mask import Runs
-    from amslicer.pattern import Pattern
+    from amslicer.pattern import FieldEvaluator, Pattern
 
 FIELD_BYTES = 32 << 20  # G at the pixels of some tiles at a time, within a processor's cache
 ROW_GROUPS = 8  # of a tile on a lattice: a bit each says whether it has solid pixels
@@ -51,7 +51,7 @@ class Block:
         # G is evaluated in the first tiles; one of them stands for G of the plain ones, which nothing reads.
         self._with_g = min(len(tiles), max(1, int(np.count_nonzero(~plain))))
         self._waves = pattern.waves(self._tiles, self._number)
-        self._kept_evaluator: Evaluator | None = None
+        self._kept_evaluator: FieldEvaluator | None = None
         self._slab: tuple[Any, int] | None = None
 
     def deposits(self, first: int, end: int) -> NDArray[np.uint8]:
@@ -99,7 +99,7 @@ class Block:
         make(out, solid, first, end)
 
     @property
-    def _evaluator(self) -> Evaluator:
+    def _evaluator(self) -> FieldEvaluator:
         if self._kept_evaluator is None:
             self._kept_evaluator = self._pattern.evaluator(
                 self._pattern.tiling, self._number, self._tiles[: self._with_g]

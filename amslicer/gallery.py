@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from amslicer.analysis import DECADES, decades, power_map
-from amslicer.noise import NOISES, sample
+from amslicer.noise import NOISES, Noise, sample
 from amslicer.pictures import BACKGROUND, GAP, INK, TEXT_HEIGHT
 from amslicer.profiles import PROFILES, make_profile
 from amslicer.profiles.waveforms import BlendShape, HarmonicsShape
 from amslicer.reference import cyclic_labels, symmetric_labels
-from amslicer.specification import DEFAULT_COLORS
+from amslicer.specification import DEFAULT_COLORS, Pattern
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -54,7 +54,7 @@ def pictures(noise: str) -> Iterator[tuple[str, Picture | None]]:
     yield "value Re G", grey(g.real)
     yield "pwm, 30 %", _colored(labels(noise, g, TWO, "pwm"))
     for profile in ("symmetric", "cyclic"):
-        built = NOISES[noise].reads == "phase" or not PROFILES[profile].arrows
+        built = _made(noise).reads == "phase" or not PROFILES[profile].arrows
         yield f"{profile}, three materials", _colored(labels(noise, g, THREE, profile)) if built else None
     # Around the middle; ratio from 0.1 at the left to 0.9, isotropy from 0 below to 1.
     x, y = plane(PERIODS)
@@ -113,7 +113,7 @@ def labels(noise: str, g: Complexes, cumulative: tuple[float | Floats, ...], pro
         profile: a name, or a shape.
     """
     until = np.stack([np.broadcast_to(np.asarray(c, np.float64), g.shape) for c in cumulative])
-    made = NOISES[noise](periods_mm=(1.0, 1.0), bandwidth=BANDWIDTH, dimensions=2, seed=SEED)
+    made = _made(noise)
     if not isinstance(profile, str):
         table = make_profile(profile).rank_table(made)
         assert table is not None
@@ -122,6 +122,11 @@ def labels(noise: str, g: Complexes, cumulative: tuple[float | Floats, ...], pro
     if made.reads == "value":
         return np.asarray(1 + np.count_nonzero(g.real <= made.levels_of(until), axis=0), np.uint8)
     return (cyclic_labels if PROFILES[profile].arrows else symmetric_labels)(g, until)
+
+
+def _made(noise: str) -> Noise:
+    pattern = Pattern.model_validate({"noise": noise, "dimensions": 2, "bandwidth": BANDWIDTH, "seed": SEED})
+    return NOISES[noise].of_pattern(pattern, (1.0, 1.0), None)
 
 
 def grey(values: Floats, most: float | None = None) -> Picture:

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from amslicer.yamlfile import KeyPath, Places
 
 DEFAULT_PRINTER = "generic-600dpi"
+PWM = ("pwm", "symmetric")
 OVERRIDES = "overrides"  # what messages call values that did not come from the job file
 # Keys and values of the job file's language that this version does not know at all.
 UNBUILT_KEYS = (
@@ -263,12 +264,13 @@ def _refuse_contradictions(spec: JobFile, origin: Origin) -> None:
             "leave it out",
         )
     kind = NOISES[pattern.noise]
-    if pattern.lobes and (kind.at_nodes or not kind.directed):
-        has = "reads its direction at each pixel" if kind.directed else "has no direction"
+    if pattern.lobes and "lobes" not in kind.keys and kind.made_of == "kernels":
+        directed = kind.follows(pattern)
+        has = "reads its direction at each pixel" if directed else "has no direction"
         raise origin.error(
             ("pattern", "lobes"),
             f"pattern.lobes: {len(pattern.lobes)} of them, but {pattern.noise} noise {has}",
-            f"leave them out, or use noise: {'phacelle' if kind.directed else 'gabor'}",
+            f"leave them out, or use noise: {'phacelle' if directed else 'gabor'}",
         )
     for i, lobe in enumerate(pattern.lobes):
         if pattern.dimensions == 2 and lobe.about != "z":
@@ -277,16 +279,25 @@ def _refuse_contradictions(spec: JobFile, origin: Origin) -> None:
                 f"pattern.lobes.{i}.about: {lobe.about}, but pattern.dimensions is 2: the same in every layer",
                 "set pattern.dimensions to 3, or turn about z",
             )
-    if kind.reads == "value":
+    _refuse_keys_of_others(spec, origin)
+    reads = kind.read_by(pattern)
+    if reads != "phase":
         needs: tuple[tuple[str, bool, Any, Any], ...] = (
-            ("profile", make_profile(pattern.profile).arrows, profile_name(pattern.profile), "pwm"),
+            (
+                "profile",
+                make_profile(pattern.profile).arrows or (reads == "power" and profile_name(pattern.profile) not in PWM),
+                profile_name(pattern.profile),
+                "pwm",
+            ),
+            ("edges", reads == "power" and pattern.edges != "sharp", pattern.edges, "sharp"),
             ("alignment", pattern.alignment > 0, pattern.alignment, 0),
         )
         for key, refused, value, default in needs:
             if refused:
                 raise origin.error(
                     ("pattern", key),
-                    f"pattern.{key}: {value} needs a phase, but {pattern.noise} noise is read by its values",
+                    f"pattern.{key}: {value} needs a phase, but {pattern.noise} noise is read by its "
+                    f"{'values' if reads == 'value' else 'modulus'}",
                     f"use {key}: {default}, or noise: phasor",
                 )
     if isinstance(pattern.period, float) and pattern.period <= 0:
@@ -309,6 +320,31 @@ def _refuse_contradictions(spec: JobFile, origin: Origin) -> None:
             ("fields", "orientation", "vector"),
             "fields.orientation.vector: has a z component, but pattern.dimensions is 2: the same in every layer",
             "set pattern.dimensions to 3, or the third component to 0",
+        )
+
+
+def _refuse_keys_of_others(spec: JobFile, origin: Origin) -> None:
+    """Keys that mean something to other noises only."""
+    from amslicer.noise import NOISES
+    from amslicer.noise.spectra import Waveform, make_spectrum
+    from amslicer.specification import Pattern
+
+    pattern, keys = spec.pattern, NOISES[spec.pattern.noise].keys
+    for key in sorted(frozenset().union(*(kind.keys for kind in NOISES.values())) - keys):
+        value, default = getattr(pattern, key), Pattern.model_fields[key].default
+        if value != default:
+            others = [name for name, kind in NOISES.items() if key in kind.keys]
+            shown = _shown(pattern.model_dump(mode="json", by_alias=True)[key])
+            raise origin.error(
+                ("pattern", key),
+                f"pattern.{key}: {shown} means nothing to {pattern.noise} noise",
+                f"leave it out; it belongs to {', '.join(others)}",
+            )
+    if isinstance(make_spectrum(pattern.spectrum), Waveform) and pattern.reads not in (None, "real"):
+        raise origin.error(
+            ("pattern", "reads"),
+            f"pattern.reads: {pattern.reads}, but waves of {pattern.spectrum} are real: they have a value alone",
+            "leave it out",
         )
 
 

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
     from amslicer.device import Device
     from amslicer.grid import Grid
+    from amslicer.noise.bands import Band, TabledBand
 
     Floats = NDArray[np.float64]
     Ints = NDArray[np.int64]
@@ -39,7 +40,6 @@ FLAT_BYTES = 512 << 20  # of the flattest blocks
 BLOCK_ROWS = 1 << 20  # rows of pixels of all layers of a block: their runs are kept
 WORTH = 0.5  # nodes per pixel: beyond, evaluating the pixels is as fast
 DIRECTIONS = np.linspace(0.0, 1.0, 5)  # cosines between axis and wave that the covariance averages over
-PERIODS = 5  # that it averages over, of a graded period
 RIDGE = 1e-10  # float32's share in the covariance
 
 
@@ -92,22 +92,21 @@ class Lattice:
 
 
 def choose_lattice(
-    grid: Grid, periods_mm: tuple[float, float], bandwidth: float, *, tile_periods: float, planar: bool
+    grid: Grid, band: Band | TabledBand, period_mm: float, *, tile_periods: float, planar: bool
 ) -> Lattice | None:
     """The largest tiles whose nodes give G within ERROR, or None where that saves nothing.
 
     Args:
-        periods_mm: the finest and the coarsest period of the job.
-        bandwidth: relative to 1/period.
+        band: the noise's frequencies.
+        period_mm: the finest of the job.
         tile_periods: no side of a tile is longer, in the finest period.
         planar: 2D: the same pattern in every layer.
     """
-    largest = tile_periods * periods_mm[0]
-    law = (periods_mm, bandwidth)
-    x, y = (_along_pixels(pitch, largest, law) for pitch in grid.pitch_mm)
+    largest = tile_periods * period_mm
+    x, y = (_along_pixels(pitch, largest, band) for pitch in grid.pitch_mm)
     if x is None or y is None:
         return None
-    z = _one_plane(grid, largest) if planar else _along_layers(grid, largest, law, x, y)
+    z = _one_plane(grid, largest) if planar else _along_layers(grid, largest, band, x, y)
     if z is None:
         return None
     tiling = Tiling((len(x[1].first), len(y[1].first)), len(z[1].first), (x[0], y[0], z[0]))
@@ -115,18 +114,16 @@ def choose_lattice(
     return Lattice(tiling, (x[1], y[1], z[1])) if nodes <= WORTH * pixels else None
 
 
-def _along_pixels(pitch_mm: float, largest_mm: float, law: tuple[tuple[float, float], float]) -> _Axis | None:
+def _along_pixels(pitch_mm: float, largest_mm: float, band: Band | TabledBand) -> _Axis | None:
     most = min(MAX_PIXELS, int(largest_mm / pitch_mm))
     for pixels in range(most // STEP_PIXELS * STEP_PIXELS, NODES, -STEP_PIXELS):
-        axis = _spread(pixels, pitch_mm, NODES, law)
+        axis = _spread(pixels, pitch_mm, NODES, band)
         if axis is not None:
             return axis
     return _each(NODES, pitch_mm) if most >= NODES else None
 
 
-def _along_layers(
-    grid: Grid, largest_mm: float, law: tuple[tuple[float, float], float], x: _Axis, y: _Axis
-) -> _Axis | None:
+def _along_layers(grid: Grid, largest_mm: float, band: Band | TabledBand, x: _Axis, y: _Axis) -> _Axis | None:
     """None where the nodes take too much memory: small tiles of a large layer."""
     tiles = -(-grid.columns // len(x[1].first)) * -(-grid.rows // len(y[1].first))
     memory = max(SLAB_BYTES, SLAB_BYTES_PER_PIXEL * grid.columns * grid.rows)
@@ -139,10 +136,10 @@ def _along_layers(
     pixels = len(x[1].first) * len(y[1].first)
     most = max(1, min(MAX_LAYERS, int(largest_mm / grid.layer_mm), BLOCK_ROWS // grid.rows))
     for layers in range(most, TAPS, -1):
-        if _spread(layers, grid.layer_mm, min(planes, layers - 1), law) is None:
+        if _spread(layers, grid.layer_mm, min(planes, layers - 1), band) is None:
             continue  # nor do fewer planes
         for count in range(TAPS + 1, min(planes, layers - 1) + 1):
-            axis = _spread(layers, grid.layer_mm, count, law)
+            axis = _spread(layers, grid.layer_mm, count, band)
             if axis is not None and count * NODES**2 <= WORTH * layers * pixels:
                 return axis
     return _each(min(most, planes), grid.layer_mm)
@@ -160,42 +157,34 @@ def _each(count: int, pitch_mm: float) -> _Axis:
     return pixel_nodes(count, pitch_mm), Taps(np.arange(count, dtype=np.int32), np.ones((count, 1), np.float32))
 
 
-def _spread(pixels: int, pitch_mm: float, count: int, law: tuple[tuple[float, float], float]) -> _Axis | None:
+def _spread(pixels: int, pitch_mm: float, count: int, band: Band | TabledBand) -> _Axis | None:
     """Nodes evenly over a tile's side and a little beyond, if they give G within ERROR and are coarser than pixels."""
     side = pixels * pitch_mm
     step = side / (count - 1 - 2 * OUTSIDE)
     if step <= pitch_mm:
         return None
     nodes = Nodes(count, step, -OUTSIDE * step, side)
-    taps, error = _fit(pitch_mm * (np.arange(pixels, dtype=np.float64) + 0.5), nodes, *law)
+    taps, error = _fit(pitch_mm * (np.arange(pixels, dtype=np.float64) + 0.5), nodes, band)
     return (nodes, taps) if error <= ERROR else None
 
 
-def _fit(places_mm: Floats, nodes: Nodes, periods_mm: tuple[float, float], bandwidth: float) -> tuple[Taps, float]:
+def _fit(places_mm: Floats, nodes: Nodes, band: Band | TabledBand) -> tuple[Taps, float]:
     """The taps of some places, and their largest relative rms error for waves along the axis, of the finest period."""
     at = nodes.start_mm + nodes.step_mm * np.arange(nodes.count)
     before = np.floor((places_mm - nodes.start_mm) / nodes.step_mm).astype(np.int64)
     first = np.clip(before - TAPS // 2 + 1, 0, nodes.count - TAPS)
     near = at[first[:, None] + np.arange(TAPS)]
-    periods = np.geomspace(*periods_mm, PERIODS if periods_mm[1] > periods_mm[0] else 1)
     among, to = near[:, :, None] - near[:, None, :], near - places_mm[:, None]
-    matrix = _covariance(among, periods, bandwidth, DIRECTIONS) + RIDGE * np.eye(TAPS)
-    weights = np.linalg.solve(matrix, _covariance(to, periods, bandwidth, DIRECTIONS)[..., None])[..., 0]
-    finest, along = periods[:1], np.ones(1)
+    matrix = band.covariance(among, DIRECTIONS) + RIDGE * np.eye(TAPS)
+    weights = np.linalg.solve(matrix, band.covariance(to, DIRECTIONS)[..., None])[..., 0]
+    along = np.ones(1)
     error = (
         1.0
-        - 2 * np.sum(weights * _covariance(to, finest, bandwidth, along), axis=-1)
-        + np.einsum("pi,pij,pj->p", weights, _covariance(among, finest, bandwidth, along), weights)
+        - 2 * np.sum(weights * band.covariance(to, along, finest=True), axis=-1)
+        + np.einsum("pi,pij,pj->p", weights, band.covariance(among, along, finest=True), weights)
     )
     taps = Taps(first.astype(np.int32), weights.astype(np.float32))
     return taps, float(np.sqrt(np.max(np.maximum(error, 0.0))))
-
-
-def _covariance(distance_mm: Floats, periods_mm: Floats, bandwidth: float, cosines: Floats) -> Floats:
-    """Of G along an axis: the mean over periods and directions of cos(2π d c/p) exp(-π b² d²/2)."""
-    d = distance_mm[..., None, None] / periods_mm[:, None]
-    waves = np.cos(2 * np.pi * d * cosines) * np.exp(-np.pi / 2 * (bandwidth * d) ** 2)
-    return np.asarray(waves.mean(axis=(-1, -2)))
 
 
 _Axis = tuple[Nodes, Taps]

@@ -140,7 +140,7 @@ def locking_notes(prepared: Prepared) -> Iterator[str]:
 
     spec, grid, painted = prepared.job.spec, prepared.grid, prepared.painted
     shortest, longest = painted.period_bounds_mm
-    if NOISES[spec.pattern.noise].reads == "value":
+    if NOISES[spec.pattern.noise].read_by(spec.pattern) != "phase":
         return  # whose sheets wander too much
     if spec.pattern.edges == "dithered" or not painted.is_laminate or shortest < longest:
         return

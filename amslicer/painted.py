@@ -105,6 +105,22 @@ class Painted:
         return self.isotropy.bounds == (0.0, 0.0)
 
     @property
+    def isotropy_bounds(self) -> tuple[float, float]:
+        """No painted isotropy is below the first or above the second."""
+        return self.isotropy.bounds
+
+    @property
+    def one_direction(self) -> bool:
+        """Whether direction and isotropy are the same everywhere."""
+        return all(low == high for low, high in (s.bounds for s in (*self.orientation.samplers, self.isotropy)))
+
+    @property
+    def direction_depends_on_z(self) -> bool:
+        """Whether direction, isotropy or period change from layer to layer."""
+        samplers = (*self.orientation.samplers, self.isotropy, self.period)
+        return any(self.placement.depends_on_z(s.varies) for s in samplers)
+
+    @property
     def ratio_depends_on_z(self) -> bool:
         """Whether any material's share changes from layer to layer."""
         return any(self.placement.depends_on_z(ratio.varies) for ratio in self.ratios if ratio is not None)

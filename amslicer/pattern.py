@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING, Any, Protocol, cast
 
 import numpy as np
 
@@ -15,8 +15,10 @@ from amslicer.noise import NOISES
 from amslicer.noise.alignment import Alignment
 from amslicer.noise.kernels import Kernels, join_kernels
 from amslicer.noise.lobes import Lobes, make_lobes
+from amslicer.noise.waves import Wave
 from amslicer.profiles import ROUNDING, make_profile
 from amslicer.tiles import Tiling, all_tiles, choose_tiling
+from amslicer.waveevaluator import Tables, WaveEvaluator
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -26,7 +28,7 @@ if TYPE_CHECKING:
     from amslicer.job import Job
     from amslicer.lattice import Lattice, Taps
     from amslicer.mask import Runs
-    from amslicer.noise import Noise
+    from amslicer.noise import KernelNoise, Noise
     from amslicer.noise.kernels import CellLayer
     from amslicer.painted import Painted
 
@@ -36,11 +38,7 @@ if TYPE_CHECKING:
 def make_noise(job: Job, painted: Painted) -> Noise:
     """The job's noise with its parameters."""
     pattern = job.spec.pattern
-    given = {} if pattern.impulses is None else {"impulses": pattern.impulses}
-    return NOISES[pattern.noise](
-        periods_mm=painted.period_bounds_mm, bandwidth=pattern.bandwidth, dimensions=pattern.dimensions,
-        seed=pattern.seed, lobes=job_lobes(job, painted), **given,
-    )  # fmt: skip
+    return NOISES[pattern.noise].of_pattern(pattern, painted.period_bounds_mm, job_lobes(job, painted))
 
 
 def job_lobes(job: Job, painted: Painted) -> Lobes | None:
@@ -53,6 +51,19 @@ def job_lobes(job: Job, painted: Painted) -> Lobes | None:
         axes = painted.placement.turn(axes)
     angles, weights = (np.array([getattr(lobe, name) for lobe in specs]) for name in ("angle", "weight"))
     return make_lobes(np.deg2rad(angles), axes, weights)
+
+
+class FieldEvaluator(Protocol):
+    """G at the planes of nodes of some tiles of a block of layers."""
+
+    @property
+    def floats_per_plane(self) -> int:
+        """Size of G of one plane: real and imaginary part at every node of every tile."""
+
+    def field(
+        self, first: int, count: int, some: range | None = None, needed: Any = None, out: Any = None
+    ) -> tuple[Any, NDArray[np.uint32]]:
+        """As of amslicer.evaluator.Evaluator."""
 
 
 class Pattern:
@@ -101,9 +112,10 @@ class Pattern:
         )
         self._rectangle = low.min(axis=0) - tiling.outside_mm, high.max(axis=0) + tiling.outside_mm
         self._alignment: Alignment | None = None
+        self._wave_tables: Tables | None = None
         if sweeps:
             size = painted.placement.size_mm
-            self._alignment = Alignment(self.noise, sweeps, size, self._generator, self._kernels_of)
+            self._alignment = Alignment(self._kernel_noise, sweeps, size, self._generator, self._kernels_of)
 
     def block(self, runs: Runs, first: int) -> Block:
         """The layers first, first + 1, …, which lie in one layer of tiles, ready to be made.
@@ -162,8 +174,12 @@ class Pattern:
         block, plane = divmod(layer, tiling.layers)
         evaluator = self.evaluator(tiling, block, all_tiles(first, end))
         parts = np.empty((end[1] + before, end[0] + before, tile, 2, tile), np.float32)
-        evaluate = evaluator.field_per_pixel if per_pixel else evaluator.field
-        self.device.read(evaluate(plane, 1)[0], parts)
+        if per_pixel:
+            assert isinstance(evaluator, Evaluator)
+            made = evaluator.field_per_pixel(plane, 1)
+        else:
+            made = evaluator.field(plane, 1)
+        self.device.read(made[0], parts)
         re, im = (parts[:, :, :, i].transpose(0, 2, 1, 3).reshape(parts.shape[0] * tile, -1) for i in (0, 1))
         corner = before * tile - margin
         window = slice(corner, corner + grid.height_px), slice(corner, corner + grid.width_px)
@@ -220,8 +236,13 @@ class Pattern:
             self._planar_field = PlanarField(buffer, slots)
         return self._planar_field
 
-    def evaluator(self, tiling: Tiling, block: int, tiles: NDArray[np.int32]) -> Evaluator:
+    def evaluator(self, tiling: Tiling, block: int, tiles: NDArray[np.int32]) -> FieldEvaluator:
         """An evaluator for some tiles of one block of layers."""
+        return EVALUATORS[self.noise.made_of](self, tiling, block, tiles)
+
+    def kernel_evaluator(self, tiling: Tiling, block: int, tiles: NDArray[np.int32]) -> Evaluator:
+        """Of noises made of kernels."""
+        noise = self._kernel_noise
         side, along_z = tiling.sides_mm, tiling.nodes[2]
         low = tiles.min(axis=0) * side - tiling.outside_mm
         high = (tiles.max(axis=0) + 1) * side + tiling.outside_mm
@@ -229,12 +250,27 @@ class Pattern:
         kernels = self._kernels(low, high, base + along_z.start_mm, base + along_z.end_mm)
         normals = self.painted.normals(self._centres(tiling, tiles, block))
         return Evaluator(
-            self.device, kernels, tiles, normals, tiling, block, planar=self.planar, envelope=self.noise.envelope,
-            waves_at=self._waves_at if self.noise.at_nodes else None,
+            self.device, kernels, tiles, normals, tiling, block, planar=self.planar, envelope=noise.envelope,
+            waves_at=self._waves_at if noise.at_nodes else None,
         )  # fmt: skip
 
+    def wave_evaluator(self, tiling: Tiling, block: int, tiles: NDArray[np.int32]) -> WaveEvaluator:
+        """Of noises made of waves."""
+        if self._wave_tables is None:
+            assert isinstance(self.noise, Wave)
+            self._wave_tables = Tables(self.device, self.noise, self.painted)
+        normals = self.painted.normals(self._centres(tiling, tiles, block))
+        return WaveEvaluator(
+            self.device, self._wave_tables, tiles, normals, tiling, block, self.painted, planar=self.planar
+        )
+
+    @property
+    def _kernel_noise(self) -> KernelNoise:
+        assert self.noise.made_of == "kernels"
+        return cast("KernelNoise", self.noise)
+
     def _waves_at(self, places_mm: Floats) -> Floats:
-        return self.noise.waves_at(self._generator, self.painted, places_mm)
+        return self._kernel_noise.waves_at(self._generator, self.painted, places_mm)
 
     def waves(self, tiles: NDArray[np.int32], block: int) -> NDArray[np.float32]:
         """(T, 4) the painted wave at the tiles' centres, in rad per column, row and layer; 0 where edges are sharp."""
@@ -265,11 +301,11 @@ class Pattern:
 
     def _kernels_of(self, number: CellLayer) -> Kernels:
         """All kernels of a layer of cells that reach what is ever looked at."""
-        return self.noise.kernels(self._generator, number, *self._rectangle, self.painted)
+        return self._kernel_noise.kernels(self._generator, number, *self._rectangle, self.painted)
 
     def _kernels(self, low_mm: Floats, high_mm: Floats, low_z_mm: float, high_z_mm: float) -> Kernels:
         """All kernels that reach a rectangle between two heights, in the order of their cells."""
-        cell_layers = self.noise.cell_layers(low_z_mm, high_z_mm)
+        cell_layers = self._kernel_noise.cell_layers(low_z_mm, high_z_mm)
         self._cell_layers = {number: kernels for number, kernels in self._cell_layers.items() if number in cell_layers}
         for number in cell_layers:
             if number not in self._cell_layers:
@@ -297,7 +333,7 @@ class Pattern:
             yield layer, 1, self._threshold_buffer(first + layer)
 
     def _levels(self, cumulative: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Values of Re G at cumulative ratios; infinite where they are plain fills."""
+        """Values of Re G or |G|² at cumulative ratios; infinite where they are plain fills."""
         c = cumulative.astype(np.float64)
         c = np.where(c <= ROUNDING, 0.0, np.where(c >= 1 - ROUNDING, 1.0, c))
         return self.noise.levels_of(c).astype(np.float32)
@@ -307,7 +343,7 @@ class Pattern:
         if self._planes is None or self.painted.ratio_depends_on_z:
             ratio = self.ratio(layer)
             self._planes = np.zeros((len(ratio) + self.blended, *self.padded), np.float32)
-            by_level = self.noise.reads == "value" and self._rank_table is None
+            by_level = self.noise.reads != "phase" and self._rank_table is None
             thresholds = (self._levels if by_level else self.profile.thresholds)(ratio)
             self._planes[: len(ratio), : self.grid.rows, : self.grid.columns] = thresholds
         if self.blended:
@@ -336,6 +372,13 @@ class Pattern:
         """What cl/deposit.h is compiled for."""
         return {
             "CYCLIC": self._rank_table is None and self.profile.arrows, "DITHERED": self.dithered,
-            "VALUE": self.noise.reads == "value", "BLENDED": self.blended,
+            "VALUE": ("phase", "value", "power").index(self.noise.reads), "BLENDED": self.blended,
             "TABLE": 0 if self._rank_table is None else self._rank_table.ranks.shape[1],
         }  # fmt: skip
+
+
+# By what a noise is made of.
+EVALUATORS: dict[str, Callable[[Pattern, Tiling, int, NDArray[np.int32]], FieldEvaluator]] = {
+    "kernels": Pattern.kernel_evaluator,
+    "waves": Pattern.wave_evaluator,
+}

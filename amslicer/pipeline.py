@@ -9,7 +9,7 @@ from collections.abc import Callable, Generator, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
@@ -22,7 +22,7 @@ from amslicer.lattice import Lattice, choose_lattice
 from amslicer.layer import Bitmaps, Layer
 from amslicer.mask import Slicer, join_runs, make_slicer
 from amslicer.mesh import Mesh, read_mesh
-from amslicer.noise import NOISES
+from amslicer.noise.waves import MAX_TABLE_BYTES as MAX_WAVE_BYTES
 from amslicer.notes import notes_of
 from amslicer.painted import Painted, open_fields
 from amslicer.pattern import Pattern, make_noise
@@ -36,7 +36,8 @@ if TYPE_CHECKING:
     from amslicer.block import Block
     from amslicer.job import Job
     from amslicer.mask import Runs
-    from amslicer.noise import Noise
+    from amslicer.noise import KernelNoise, Noise
+    from amslicer.noise.waves import Wave
 
 Progress = Callable[[int, int], None]
 
@@ -125,21 +126,22 @@ def prepare(job: Job) -> Prepared:
     if make_profile(spec.pattern.profile).arrows:
         refuse_lines(painted, profile_name(spec.pattern.profile))
     lattice = None
-    if spec.pattern.evaluate == "lattice" and not NOISES[spec.pattern.noise].at_nodes:
+    noise = make_noise(job, painted)
+    if spec.pattern.evaluate == "lattice" and noise.band is not None:
         lattice = choose_lattice(
-            grid, painted.period_bounds_mm, spec.pattern.bandwidth, tile_periods=_tile_periods(job, painted),
-            planar=spec.pattern.dimensions == 2,
+            grid, noise.band, painted.period_bounds_mm[0], tile_periods=_tile_periods(noise, painted),
+            planar=noise.dimensions == 2,
         )  # fmt: skip
     tiling = lattice.tiling if lattice else choose_tiling(grid, painted.period_bounds_mm[0])
-    _refuse_many_kernels(job, make_noise(job, painted), grid, painted)
+    SIZE_LIMITS[noise.made_of](job, noise, grid, painted)
     slicer = make_slicer(vertices, mesh.triangles, grid, find_holes(mesh.rim, vertices, grid))
     return Prepared(job, mesh, placement, grid, tiling, lattice, slicer, painted)
 
 
-def _tile_periods(job: Job, painted: Painted) -> float:
-    """How large tiles may be: all kernels of one take their signs from one direction."""
+def _tile_periods(noise: Noise, painted: Painted) -> float:
+    """How large tiles may be: all kernels (or waves) of one take their signs from one direction."""
     finest = painted.period_bounds_mm[0]
-    reach = make_noise(job, painted).radius_mm + CALM_TILE_PERIODS * finest
+    reach = (cast("KernelNoise", noise).radius_mm if noise.made_of == "kernels" else 0.0) + CALM_TILE_PERIODS * finest
     return CALM_TILE_PERIODS if turns_little(painted, reach, CALM_DEG) else TILE_PERIODS
 
 
@@ -186,8 +188,9 @@ def _refuse_isotropies(painted: Painted) -> None:
         painted.isotropies(sample_places(painted, painted.period_bounds_mm[1]).reshape(-1, 3))
 
 
-def _refuse_many_kernels(job: Job, noise: Noise, grid: Grid, painted: Painted) -> None:
+def _refuse_many_kernels(job: Job, any_noise: Noise, grid: Grid, painted: Painted) -> None:
     """The kernels of one batch and their tables at the pixels, counted before any is drawn."""
+    noise = cast("KernelNoise", any_noise)
     reach, size = noise.radius_mm, painted.placement.size_mm
     width, depth = (float(v) + 2 * reach for v in size[:2])
     shortest, longest = painted.period_bounds_mm
@@ -204,6 +207,23 @@ def _refuse_many_kernels(job: Job, noise: Noise, grid: Grid, painted: Painted) -
             f"layer needs {kernels:.3g} kernels that reach {reach:.3g} mm ({table_bytes / 1e9:.3g} GB of tables)",
             hint="use a period of at least 3 pixels, no larger than the part, and a bandwidth of 0.25 to 1",
         )
+
+
+def _refuse_large_tables(job: Job, noise: Noise, grid: Grid, painted: Painted) -> None:
+    """The tables of all painted periods."""
+    wave = cast("Wave", noise)
+    if wave.table_bytes > MAX_WAVE_BYTES:
+        shortest, longest = painted.period_bounds_mm
+        raise JobError(
+            f"pattern.period: from {shortest:.4g} to {longest:.4g} mm, wave noise needs "
+            f"{len(wave.table_periods_mm)} tables of {wave.samples} samples ({wave.table_bytes / 1e6:.0f} MB); at most "
+            f"{MAX_WAVE_BYTES / 1e6:.0f} MB are made",
+            hint="let the period change less, or use noise: phasor",
+        )
+
+
+# By what a noise is made of.
+SIZE_LIMITS = {"kernels": _refuse_many_kernels, "waves": _refuse_large_tables}
 
 
 def layer_range(run: Run, count: int) -> range:

@@ -14,6 +14,8 @@ from amslicer.fields import PLANNED, SOURCES, FieldSpec, source_name
 from amslicer.fields.source import Number
 from amslicer.grid import MM_PER_INCH
 from amslicer.noise.lobes import MOST as MAX_LOBES
+from amslicer.noise.spectra import SHAPES as SPECTRUM_SHAPES
+from amslicer.noise.spectra import SpectrumSpec
 from amslicer.profiles.waveforms import SHAPES, Blend, Harmonic, ProfileSpec
 from amslicer.storage import INPUTS, JOB_FILE, MANIFEST
 
@@ -22,6 +24,7 @@ Flag = Annotated[bool, Field(strict=True)]
 Positive = Annotated[Number, Field(gt=0)]
 
 MAX_SEED = 2**64 - 1
+MIN_DIRECTIONS, MAX_DIRECTIONS = 4, 20_000  # fewer waves are gratings, more take minutes
 MIN_IMPULSES = 2  # fewer kernels leave empty places, where there is no phase and the ratio is wrong
 MIN_PITCH_MM, MAX_PITCH_MM = 1e-4, 1e3  # finer than light, coarser than a part: a mistake
 # Folder names on every file system, and the names of the stack's own entries.
@@ -168,6 +171,21 @@ class Pattern(Model):
     lobes: tuple[Lobe, ...] = Field(
         default=(), max_length=MAX_LOBES, description="several directions at every place; none: the painted one alone"
     )
+    directions: Annotated[Whole, Field(ge=MIN_DIRECTIONS, le=MAX_DIRECTIONS)] | None = Field(
+        default=None, description="waves' directions, of wave noise; default: as many as the bandwidth needs"
+    )
+    spectrum: SpectrumSpec = Field(
+        default="laminate",
+        description="amplitudes of waves over their frequency: laminate, white, blue, brown, {power: exponent}, "
+        "{gaussian: peak}, {table: [[frequency, amplitude], ...]}; or the wave itself: crystal, web",
+    )
+    reads: Literal["phase", "real", "modulus"] | None = Field(
+        default=None, description="what of wave noise becomes material; default: phase (real of crystal and web)"
+    )
+    time: Number = Field(default=0.0, description="how far waves have travelled, in periods: a family of related parts")
+    fourth: Number = Field(
+        default=0.0, description="a fourth coordinate, in periods: waves move with it at speeds of their own"
+    )
     evaluate: Literal["lattice", "exact"] = Field(default="lattice", description="how G is computed")
     profile: ProfileSpec = Field(
         default="pwm",
@@ -300,6 +318,7 @@ def key_paths() -> dict[str, str]:
         ("output.", Output), ("gradient.", LinearGradient), ("gradient.", RadialGradient),
         *(("", source) for source in SOURCES.values()),
         *(("pattern.profile.", shape) for shape in SHAPES.values()),
+        *(("pattern.spectrum.", shape) for shape in SPECTRUM_SHAPES.values()),
         ("pattern.profile.blend.", Blend), ("pattern.profile.harmonics.", Harmonic),
     )  # fmt: skip
     for prefix, model in sections:

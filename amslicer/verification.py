@@ -246,8 +246,8 @@ def verify_stack(
                 progress(done, len(stack.records))
     shown.extend(texture.finish())
     levels = list(windows.levels(
-        pattern.bandwidth, profile, values=NOISES[pattern.noise].reads == "value", aligned=pattern.alignment > 0,
-        lobes=lobes,
+        pattern.bandwidth, profile, values=NOISES[pattern.noise].read_by(pattern) != "phase",
+        aligned=pattern.alignment > 0, lobes=lobes,
     ))  # fmt: skip
     materials = _material_reports(stack, job, painted, totals, asked)
     for m in materials.values():
@@ -304,7 +304,7 @@ def _job_of(stack: Stack, fields: str | os.PathLike[str] | None) -> Job:
 def _painted(stack: Stack, job: Job) -> Painted:
     low, high = np.array(stack.manifest["part"]["file_bbox_mm"], float)
     painted = open_fields(job, placement_of(stack.manifest), high - low)
-    if NOISES[job.spec.pattern.noise].directed:
+    if NOISES[job.spec.pattern.noise].follows(job.spec.pattern):
         return painted
     return replace(painted, isotropy=ConstantSampler(1.0))
 
@@ -442,7 +442,7 @@ def ratio_tolerance(
             0.0, ratio, lobes=directions, shares=lobes.shares, bandwidth=pattern.bandwidth, window_periods=sides
         )))  # fmt: skip
         normals = directions.reshape(-1, 3)
-    if NOISES[pattern.noise].reads == "value":
+    if NOISES[pattern.noise].read_by(pattern) != "phase":
         sigma = max(
             float(np.max(level_deviation(
                 *cumulative, profile=make_profile(pattern.profile), bandwidth=pattern.bandwidth,

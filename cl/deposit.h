@@ -1,7 +1,7 @@
 // From G to bitmaps of the materials: a solid pixel's material is 1 + the number of thresholds that the phase is beyond. A
 // threshold is the profile's key (amslicer/profiles/key.py) at a cumulative ratio; beyond 1 or -3 it is a plain fill. The
-// host defines CYCLIC; VALUE: Re G is read, thresholds are values of it, and a pixel is beyond those that are not below its
-// own; TABLE, or 0: a pixel's rank is looked up among so many (amslicer/profiles/rank.py), and it is beyond the thresholds
+// host defines CYCLIC; VALUE: Re G (1) or |G|² (2) is read, thresholds are values of it, and a pixel is beyond those that are
+// not below its own; TABLE, or 0: a pixel's rank is looked up among so many (amslicer/profiles/rank.py), and it is beyond the thresholds
 // that are not above its rank; BLENDED: a last plane of thresholds says in which row of the table; and DITHERED: each pixel
 // reads G at a random place within itself.
 
@@ -91,6 +91,9 @@ void deposit(floatV re, floatV im, global const uchar *solid, global uchar *depo
     const floatV turned = fma(re, cosine_of, -im * sine_of);
     im = fma(re, sine_of, im * cosine_of);
     re = turned;
+#endif
+#if VALUE == 2
+    re = fma(re, re, im * im);
 #endif
 #if !VALUE && !TABLE
     const floatV power = fma(re, re, im * im);

@@ -16,6 +16,8 @@ from scipy import ndimage
 
 import amslicer
 from amslicer import Job
+from amslicer.noise import NOISES, Noise
+from amslicer.specification import Pattern
 
 Floats = NDArray[np.float64]
 # 12.05 pixels per period of 1 mm: a whole number would let every period see the same pixels.
@@ -70,6 +72,12 @@ def job(
 def labels(job: Job, first: int = 0, end: int | None = None) -> NDArray[np.uint8]:
     """(L, H, W) labels of some layers, all by default."""
     return np.stack([layer.labels for layer in amslicer.layers(job, amslicer.Run(layers=(first, end)))])
+
+
+def noise(name: str, bandwidth: float = 0.5, dimensions: int = 2, **pattern: Any) -> Noise:
+    """A noise of 1 mm periods."""
+    asked = {"noise": name, "bandwidth": bandwidth, "dimensions": dimensions, **pattern}
+    return NOISES[name].of_pattern(Pattern.model_validate(asked), (1.0, 1.0), None)
 
 
 def bitmap(job: Job) -> NDArray[np.uint8]:

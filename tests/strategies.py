@@ -13,6 +13,7 @@ from typing import Any
 import manifold3d
 import meshes
 import numpy as np
+import parts
 from hypothesis import strategies as st
 from hypothesis.strategies import SearchStrategy
 from meshes import Solid
@@ -213,15 +214,13 @@ def jobs(draw: st.DrawFn) -> dict[str, Any]:
     dimensions = draw(st.sampled_from([2, 3]))
     names = [m if isinstance(m, str) else m["name"] for m in chosen]
     pattern = draw(st.fixed_dictionaries({}, optional=PATTERN))
-    if NOISES[pattern.get("noise", "phasor")].reads == "value":  # there is no phase
+    if parts.noise(pattern.get("noise", "phasor")).reads == "value":  # there is no phase
         pattern = {k: v for k, v in pattern.items() if k != "alignment"}
         if _needs_arrows(pattern.get("profile", "pwm")):
             del pattern["profile"]
-    if pattern.get("noise", "").startswith("phacelle"):
-        pattern.pop("impulses", None)
-    kind = NOISES[pattern.get("noise", "phasor")]
-    if kind.at_nodes or not kind.directed:
-        pattern.pop("lobes", None)
+    keys = frozenset().union(*(kind.keys for kind in NOISES.values()))
+    for key in keys - NOISES[pattern.get("noise", "phasor")].keys:
+        pattern.pop(key, None)
     arrows = _needs_arrows(pattern.get("profile", "pwm"))
     painted = {"orientation": orientations(dimensions, arrows=arrows), "isotropy": fields(0, 1)}
     return {

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import parts
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 import amslicer
 from amslicer import analysis
-from amslicer.noise import NOISES, GaborKernel, gabor_noise, varying_gabor_noise
+from amslicer.noise import GaborKernel, KernelNoise, gabor_noise, varying_gabor_noise
 
 Floats = NDArray[np.float64]
 # Of section III-C: K, a, F₀.
@@ -149,7 +149,7 @@ def test_radial_power_is_the_expected_one(tmp_path: Path, noise: str) -> None:
         measured.append(density)
     width, wave = bandwidth / period, 1 / period
     direction = (math.cos(math.radians(31)), math.sin(math.radians(31)))
-    impulses = NOISES[noise](periods_mm=(period, period), bandwidth=bandwidth, dimensions=2, seed=1).impulses
+    impulses = cast(KernelNoise, parts.noise(noise)).impulses
     turn = np.arange(720) / 720 * 2 * np.pi
     around = np.stack([np.cos(turn), np.sin(turn)], axis=-1)
     if noise == "gabor":

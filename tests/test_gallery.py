@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import parts
 import pytest
 from numpy.typing import NDArray
 from PIL import Image
@@ -26,7 +27,7 @@ def test_pictures_of_a_noise(noise: str) -> None:
     profiles = ["pwm, 30 %", "symmetric, three materials", "cyclic, three materials"]
     waveforms = ["harmonics, 40 %", "sine to harmonics"]
     assert list(made) == ["value Re G", *profiles, "painted", *waveforms, "spectrum of pwm"]
-    assert (made["cyclic, three materials"] is None) == (NOISES[noise].reads == "value")
+    assert (made["cyclic, three materials"] is None) == (parts.noise(noise).reads == "value")
     for name, picture in made.items():
         if picture is not None:
             assert picture.shape == (60, 60, 3), name
@@ -41,7 +42,7 @@ def test_the_command_writes_a_sheet_and_every_picture(tmp_path: Path, capsys: py
     out = tmp_path / "pictures"
     assert cli.main(["gallery", "-o", str(out)]) == 0
     assert capsys.readouterr().out.split() == [str(out / "gallery.png"), str(out / "figures.png")]
-    built = sum(8 if maker.reads == "phase" else 7 for maker in NOISES.values())
+    built = sum(8 if parts.noise(name).reads == "phase" else 7 for name in NOISES)
     assert len(list(out.glob("*.png"))) == built + 2
     with Image.open(out / "gallery.png") as sheet:
         assert sheet.width > 6 * 60

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import parts
 import pytest
 from numpy.typing import NDArray
 
@@ -17,7 +18,7 @@ from amslicer import reference
 from amslicer.device import Device
 from amslicer.evaluator import AXIS, work_shape
 from amslicer.generator import DeviceGenerator
-from amslicer.noise import NOISES, turn
+from amslicer.noise import turn
 from amslicer.profiles import PROFILES
 from amslicer.profiles.rank import RankProfile
 from amslicer.resources import resource_folder
@@ -31,6 +32,7 @@ SIZES = [1, 2, 13, 63, 65, 127, 257]  # one, primes, and either side of powers o
 FILES = sorted(resource_folder("cl").glob("*.cl"))
 # Tile sides and vector widths that work together; the first is what most jobs on most CPUs use.
 SHAPES = [(32, 8), (32, 16), (16, 8), (16, 16), (8, 8)]
+WAVES = {"PAINTED": 1, "LEVELS": 2, "SAMPLES": 64, "COSINES": 16, "ISOTROPIES": 3}  # as cl/waves.cl asks for
 TAPS = {"TAPS_X": 9, "TAPS_Y": 6, "TAPS_Z": 6, "COLUMNS": 3, "ROW_GROUPS": 8}  # of cl/interpolate.cl
 
 
@@ -92,7 +94,7 @@ def is_tiled(file: Path) -> bool:
 @pytest.mark.parametrize("file", FILES, ids=lambda f: f.stem)
 def test_each_file_builds_alone(device: Device, file: Path) -> None:
     """With the constants that tile.h asks for, for every shape, or with none where a file does not include it."""
-    for macros in [{**constants(device, shape), **TAPS} for shape in SHAPES] if is_tiled(file) else [{}]:
+    for macros in [{**constants(device, shape), **TAPS, **WAVES} for shape in SHAPES] if is_tiled(file) else [{}]:
         assert device.kernel(file.stem, macros).function_name == file.stem
 
 
@@ -220,9 +222,7 @@ def device_labels(
     cut = g.reshape(layers, rows // tile, tile, columns // tile, tile).transpose(0, 1, 3, 2, 4)
     field = np.stack([cut.real, cut.imag], axis=-2)
     kind = PROFILES[profile] if isinstance(profile, str) else profile
-    table = None if isinstance(profile, str) else profile.rank_table(NOISES["phasor"](
-        periods_mm=(1.0, 1.0), bandwidth=0.5, dimensions=2, seed=1
-    ))  # fmt: skip
+    table = None if isinstance(profile, str) else profile.rank_table(parts.noise("phasor"))
     ranks = np.zeros((1, 1), np.float32) if table is None else table.ranks
     thresholds = np.broadcast_to(kind.thresholds(cumulative), (len(cumulative), rows, columns))
     waves = np.zeros((len(tiles), 4), np.float32)

@@ -17,6 +17,7 @@ from amslicer.device import Device
 from amslicer.evaluator import Evaluator
 from amslicer.grid import Grid
 from amslicer.lattice import ERROR, NODES, Lattice, Taps, choose_lattice
+from amslicer.noise.bands import Band
 from amslicer.pattern import Pattern
 from amslicer.pipeline import prepare
 from amslicer.reference import phasor
@@ -152,7 +153,7 @@ def test_a_flat_pattern_is_labelled_once(
 
 def chosen(bandwidth: float, periods: tuple[float, float] = (1.0, 1.0), **grid: Any) -> Lattice:
     settings = {"columns": 900, "rows": 700, "layers": 400, "pitch_mm": (0.0423, 0.0423), "layer_mm": 0.027, **grid}
-    lattice = choose_lattice(Grid(**settings), periods, bandwidth, tile_periods=1.5, planar=False)
+    lattice = choose_lattice(Grid(**settings), Band(periods, bandwidth), periods[0], tile_periods=1.5, planar=False)
     assert lattice is not None
     return lattice
 
@@ -201,7 +202,9 @@ def test_a_lattice_is_never_finer_than_pixels_nor_larger_than_the_period_allows(
         for bandwidth in (0.1, 0.5, 1.0, 2.0):
             for pitch in ((0.0423, 0.0423), (0.0423, 0.0847), (0.01, 0.03)):
                 grid = Grid(900, 700, 400, pitch, 0.027)
-                lattice = choose_lattice(grid, (period, 2 * period), bandwidth, tile_periods=1.5, planar=False)
+                lattice = choose_lattice(
+                    grid, Band((period, 2 * period), bandwidth), period, tile_periods=1.5, planar=False
+                )
                 if lattice is None:
                     continue
                 for nodes, step in zip(lattice.tiling.nodes, (*pitch, 0.027), strict=True):
@@ -214,7 +217,9 @@ def test_a_lattice_is_never_finer_than_pixels_nor_larger_than_the_period_allows(
 def test_coarse_pixels_are_evaluated_one_by_one() -> None:
     for planar in (False, True):
         assert (
-            choose_lattice(Grid(90, 70, 40, (0.25, 0.25), 0.3), (1.0, 1.0), 0.5, tile_periods=1.5, planar=planar)
+            choose_lattice(
+                Grid(90, 70, 40, (0.25, 0.25), 0.3), Band((1.0, 1.0), 0.5), 1.0, tile_periods=1.5, planar=planar
+            )
             is None
         )
 
@@ -231,7 +236,7 @@ def test_a_large_part_has_flat_blocks() -> None:
     fine = {"layers": 400, "pitch_mm": (0.03, 0.03), "layer_mm": 0.027}
     for columns, chooses in ((900, True), (9450, False)):
         grid = Grid(columns, columns, **fine)
-        lattice = choose_lattice(grid, (0.5, 0.5), 0.5, tile_periods=1.5, planar=False)
+        lattice = choose_lattice(grid, Band((0.5, 0.5), 0.5), 0.5, tile_periods=1.5, planar=False)
         assert (lattice is not None) == chooses
     assert chosen(0.5, rows=100_000).tiling.layers <= (1 << 20) // 100_000  # whose runs are kept
 

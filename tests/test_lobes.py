@@ -18,7 +18,7 @@ from amslicer.pipeline import prepare
 from amslicer.reference import phasor
 
 Floats = NDArray[np.float64]
-DIRECTED = [name for name in NOISES if NOISES[name].directed and not NOISES[name].at_nodes]
+DIRECTED = [name for name in NOISES if "lobes" in NOISES[name].keys]
 Z = np.array([0.0, 0.0, 1.0])
 
 

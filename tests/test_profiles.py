@@ -50,7 +50,7 @@ def ranked(content: Any) -> RankProfile:
 
 
 def phase_noise() -> Noise:
-    return NOISES["phasor"](periods_mm=(1.0, 1.0), bandwidth=0.5, dimensions=2, seed=1)
+    return parts.noise("phasor")
 
 
 def ranks_over_a_turn(profile: RankProfile) -> tuple[Floats, NDArray[np.float32]]:
@@ -149,7 +149,7 @@ def test_jobs_have_their_ratios_and_are_verified(tmp_path: Path, noise: str, dim
     amslicer.slice_job(job, tmp_path / "out")
     report = amslicer.verify(tmp_path / "out")
     assert report.ok, [c for c in report.checks if not c.ok]
-    if dimensions == 2 and NOISES[noise].reads == "phase":  # 1080 periods²; values scatter several times as far
+    if dimensions == 2 and parts.noise(noise).reads == "phase":  # 1080 periods²; values scatter several times as far
         assert max(abs(m.error) for m in report.materials.values()) < 0.005
 
 
@@ -231,7 +231,7 @@ def test_growth_over_values_is_that_over_a_materials_parts_of_them() -> None:
 
 
 def test_values_are_looked_up_by_the_share_of_values_above_them() -> None:
-    noise = NOISES["gabor"](periods_mm=(1.0, 1.0), bandwidth=0.5, dimensions=2, seed=1)
+    noise = parts.noise("gabor")
     table = ranked("triangle").rank_table(noise)
     value = (np.arange(SAMPLES) + 0.5) / SAMPLES * 2 * table.reach - table.reach
     for c in (0.05, 0.3, 0.5, 0.9):

@@ -5,13 +5,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 from amslicer.noise.gabor import Gabor, IsotropicGabor
 from amslicer.noise.gaborkernel import GaborKernel, gabor_noise, varying_gabor_noise
-from amslicer.noise.kernels import Kernels, Noise
+from amslicer.noise.kernels import KernelNoise, Kernels, Noise
 from amslicer.noise.phacelle import Phacelle, SimplePhacelle
 from amslicer.noise.phasor import Phasor
+from amslicer.noise.waves import Wave
 
 if TYPE_CHECKING:
     import numpy as np
@@ -20,28 +21,35 @@ if TYPE_CHECKING:
     from amslicer.noise.lobes import Lobes
     from amslicer.reference import Lobes as RelativeLobes
     from amslicer.reference import Scalar
+    from amslicer.specification import Pattern
 
 
 class Maker(Protocol):
-    """A noise's class."""
+    """A noise's class.
+
+    Attributes:
+        keys: of the job file's pattern, that mean something to this noise and not to all.
+    """
 
     @property
-    def reads(self) -> str:
+    def made_of(self) -> str:
         """As of Noise."""
 
     @property
-    def directed(self) -> bool:
-        """Whether it follows the painted direction; else it is isotropic everywhere."""
+    def keys(self) -> frozenset[str]: ...
 
-    @property
-    def at_nodes(self) -> bool:
-        """As of Noise."""
+    def of_pattern(self, pattern: Pattern, periods_mm: tuple[float, float], lobes: Lobes | None) -> Noise:
+        """The noise that a job's pattern asks for.
 
-    def __call__(
-        self, *, periods_mm: tuple[float, float], bandwidth: float, dimensions: int, seed: int, impulses: float = ...,
-        lobes: Lobes | None = ...,
-    ) -> Noise:  # fmt: skip
-        """The noise with its parameters; impulses have a default per noise, lobes are none."""
+        Args:
+            periods_mm: the shortest and the longest painted period.
+        """
+
+    def read_by(self, pattern: Pattern) -> str:
+        """As of Noise.reads, of a job's pattern."""
+
+    def follows(self, pattern: Pattern) -> bool:
+        """As of Noise.directed, of a job's pattern."""
 
 
 NOISES: dict[str, Maker] = {
@@ -50,15 +58,17 @@ NOISES: dict[str, Maker] = {
     "gabor-isotropic": IsotropicGabor,
     "phacelle": Phacelle,
     "phacelle-simple": SimplePhacelle,
+    "wave": Wave,
 }
 
-__all__ = ["NOISES", "GaborKernel", "Kernels", "Noise", "gabor_noise", "sample", "varying_gabor_noise"]
+__all__ = ["NOISES", "GaborKernel", "KernelNoise", "Kernels", "Noise", "gabor_noise", "sample", "varying_gabor_noise"]
 
 
 def sample(
     name: str, x: ArrayLike, y: ArrayLike, z: ArrayLike = 0.0, *, period: Scalar = 1.0, bandwidth: float = 0.5,
     orientation: Scalar = 0.0, elevation: Scalar = 0.0, isotropy: Scalar = 0.0, seed: int = 1,
     dimensions: int | None = None, impulses: float | None = None, lobes: RelativeLobes = (),
+    directions: int | None = None, spectrum: Any = "laminate", time: float = 0.0, fourth: float = 0.0,
 ) -> NDArray[np.complex128]:  # fmt: skip
     """A noise's complex field G at any points, in plain float64: no part, no file, no device.
 
@@ -80,6 +90,7 @@ def sample(
         dimensions: 2 or 3; default 3 where z or elevation is given, else 2.
         impulses: Λ, kernels per B^dimensions; default: the noise's. Not of phacelle.
         lobes: several directions at a place, as (degrees about z from the painted normal, weight); at most 8.
+        directions, spectrum, time, fourth: of wave, as the job file's pattern has them.
 
     Returns:
         complex128, in the coordinates' common shape.
@@ -92,4 +103,5 @@ def sample(
     return sampled(
         name, x, y, z, period=period, bandwidth=bandwidth, orientation=orientation, elevation=elevation,
         isotropy=isotropy, seed=seed, dimensions=dimensions, impulses=impulses, lobes=lobes,
+        directions=directions, spectrum=spectrum, time=time, fourth=fourth,
     )  # fmt: skip

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from amslicer.noise.kernels import CellLayer, Generator, Noise
+    from amslicer.noise.kernels import CellLayer, Generator, KernelNoise
 
     Floats = NDArray[np.float64]
     Ints = NDArray[np.int64]
@@ -58,7 +58,12 @@ class Alignment:
     """
 
     def __init__(
-        self, noise: Noise, sweeps: int, size_mm: Floats, draw: Generator, kernels_of: Callable[[CellLayer], Kernels]
+        self,
+        noise: KernelNoise,
+        sweeps: int,
+        size_mm: Floats,
+        draw: Generator,
+        kernels_of: Callable[[CellLayer], Kernels],
     ) -> None:
         self._noise, self._sweeps, self._size_mm, self._draw = noise, sweeps, size_mm, draw
         self._kernels_of = kernels_of

@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
+from amslicer.noise.distribution import above
 from amslicer.noise.phasor import TRUNCATION_ERROR, Phasor, truncation_radius
 
 if TYPE_CHECKING:
@@ -34,8 +35,7 @@ if TYPE_CHECKING:
 # So that values are nearly Gaussian.
 DEFAULT_IMPULSES = 12.0
 SAMPLES = 4096  # of an isotropic kernel over r²
-# Of its values' distribution: places of a kernel, frequencies up to WAVES/σ, values up to ± REACH σ.
-RADII, STEPS, WAVES, REACH = 600, 1601, 12.0, 8.0
+RADII = 600  # places of a kernel for the law of its sums
 
 
 @dataclass(frozen=True)
@@ -44,6 +44,7 @@ class Gabor(Phasor):
 
     impulses: float = DEFAULT_IMPULSES
     reads: ClassVar[str] = "value"
+    keys: ClassVar[frozenset[str]] = frozenset({"impulses", "lobes"})
 
     @property
     def deviation(self) -> float:
@@ -79,6 +80,7 @@ class IsotropicGabor(Phasor):
 
     impulses: float = DEFAULT_IMPULSES
     reads: ClassVar[str] = "value"
+    keys: ClassVar[frozenset[str]] = frozenset({"impulses"})
     directed: ClassVar[bool] = False
 
     @property
@@ -125,13 +127,11 @@ class IsotropicGabor(Phasor):
         r = np.linspace(0.0, truncation_radius(self.bandwidth, self.dimensions, TRUNCATION_ERROR), RADII)
         area = 2 * np.pi * r if self.dimensions == 2 else 4 * np.pi * r**2
         w = isotropic_kernel(r, self.bandwidth, self.dimensions)
-        u = np.linspace(0.0, WAVES / self.deviation, STEPS)[1:]
-        characteristic = np.exp(density * np.trapezoid((j0(u[:, None] * w) - 1) * area, r, axis=1))
-        values = np.linspace(-REACH, REACH, STEPS) * self.deviation
-        # sin(uy)/u is y at u = 0, which is the trapezoid's missing end.
-        integral = np.trapezoid(characteristic * np.sin(u * values[:, None]) / u, u, axis=1)
-        integral += 0.5 * u[0] * (values + characteristic[0] * np.sin(u[0] * values) / u[0])
-        return values, np.clip(0.5 - integral / np.pi, 0.0, 1.0)
+
+        def characteristic(u: Floats) -> Floats:
+            return np.asarray(np.exp(density * np.trapezoid((j0(u[:, None] * w) - 1) * area, r, axis=1)))
+
+        return above(characteristic, self.deviation)
 
     def kernels(self, draw: Generator, cell_layer: CellLayer, low_mm: Floats, high_mm: Floats, paint: Paint) -> Kernels:
         """As phasor noise's, without waves."""

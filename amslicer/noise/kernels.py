@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from amslicer.noise.alignment import Neighbours
+    from amslicer.noise.bands import Band, TabledBand
 
     Floats = NDArray[np.float64]
 
@@ -22,6 +23,7 @@ WORD = 2.0**-32  # random words to [0, 1)
 IMPULSES, CHOICE = 0, 1 << 30
 LEVEL = 1 << 16
 TURN_PLACES, TURN_WEIGHTS = 2 << 30, 3 << 30  # + 256 × level (8 bits) + number in the cell: amslicer/noise/turn.py
+# 1 << 28 is wave noise's (amslicer/noise/waves.py), 3 << 29 that of dithered edges (amslicer/block.py).
 
 
 CellLayer = tuple[int, int]
@@ -125,7 +127,39 @@ class Kernels:
 
 
 class Noise(Protocol):
-    """A noise with its parameters, ready to hand out kernels, one layer of cells after another.
+    """A noise with its parameters.
+
+    Attributes:
+        made_of: what it hands to whom evaluates it: "kernels" or "waves" (amslicer/pattern.py).
+        reads: "phase": materials follow from arg G, which is uniform; "value": from Re G, and "power": from |G|², by
+            its `levels_of`.
+        directed: whether it follows the painted direction; else it is isotropic everywhere.
+        band: the frequencies of G, which a lattice serves; None where there is no highest one: G is evaluated at the
+            pixels themselves.
+    """
+
+    @property
+    def made_of(self) -> str: ...
+
+    @property
+    def reads(self) -> str: ...
+
+    @property
+    def directed(self) -> bool: ...
+
+    @property
+    def band(self) -> Band | TabledBand | None: ...
+
+    @property
+    def dimensions(self) -> int:
+        """2 or 3."""
+
+    def levels_of(self, cumulative: NDArray[Any]) -> Floats:
+        """The values that shares of all values, 0…1, lie above; of noises whose value or power is read."""
+
+
+class KernelNoise(Noise, Protocol):
+    """A noise made of kernels, ready to hand them out, one layer of cells after another.
 
     Attributes:
         impulses: kernels per bandwidth^dimensions.
@@ -133,14 +167,10 @@ class Noise(Protocol):
             last one 0. None: Gaussians.
         at_nodes: whether kernels take the direction of the place where G is asked for (`waves_at`), not that of their
             centres: G is then not band-limited.
-        reads: "phase": materials follow from arg G, which is uniform; "value": from Re G, by its `levels_of`.
     """
 
     @property
     def impulses(self) -> float: ...
-
-    @property
-    def reads(self) -> str: ...
 
     @property
     def at_nodes(self) -> bool: ...
@@ -149,19 +179,12 @@ class Noise(Protocol):
     def envelope(self) -> NDArray[np.float32] | None: ...
 
     @property
-    def dimensions(self) -> int:
-        """2 or 3."""
-
-    @property
     def radius_mm(self) -> float:
         """No kernel reaches further along an axis."""
 
     @property
     def density(self) -> float:
         """The most kernels per mm^dimensions, where the period is shortest."""
-
-    def levels_of(self, cumulative: NDArray[Any]) -> Floats:
-        """The values of Re G that shares of all values, 0…1, lie above; of noises whose value is read."""
 
     def waves_at(self, draw: Generator, paint: Paint, places_mm: Floats) -> Floats:
         """(N, 3) wave vectors, rad/mm, at (N, 3) places; of noises whose direction is that of the place."""

@@ -47,6 +47,7 @@ class Phacelle(Phasor):
 
     impulses: float = 1.0  # per cell; no other number is accepted
     reads: ClassVar[str] = "phase"
+    keys: ClassVar[frozenset[str]] = frozenset({"lobes", "alignment"})
 
     @property
     def side_mm(self) -> float:
@@ -99,6 +100,7 @@ class SimplePhacelle(Phacelle):
     """Simple Phacelle noise; attributes as of Phasor, without lobes."""
 
     at_nodes: ClassVar[bool] = True
+    keys: ClassVar[frozenset[str]] = frozenset({"alignment"})
 
     def waves_at(self, draw: Generator, paint: Paint, places_mm: Floats) -> Floats:
         """(N, 3) k(x) at places, turned as isotropy says."""

@@ -15,10 +15,11 @@ kernels do not reach over fine sheets; density and level follow q_j, the carrier
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 
+from amslicer.noise.bands import Band
 from amslicer.noise.kernels import Cells, Kernels
 from amslicer.noise.turn import turned
 
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
 
     from amslicer.noise.kernels import CellLayer, Generator, Paint
     from amslicer.noise.lobes import Lobes
+    from amslicer.specification import Pattern
 
     Floats = NDArray[np.float64]
 
@@ -59,6 +61,32 @@ class Phasor:
     reads: ClassVar[str] = "phase"
     directed: ClassVar[bool] = True
     at_nodes: ClassVar[bool] = False
+    made_of: ClassVar[str] = "kernels"
+    keys: ClassVar[frozenset[str]] = frozenset({"impulses", "lobes", "alignment"})
+
+    @classmethod
+    def of_pattern(cls, pattern: Pattern, periods_mm: tuple[float, float], lobes: Lobes | None) -> Self:
+        """The noise that a job's pattern asks for."""
+        given = {} if pattern.impulses is None else {"impulses": pattern.impulses}
+        return cls(
+            periods_mm=periods_mm, bandwidth=pattern.bandwidth, dimensions=pattern.dimensions, seed=pattern.seed,
+            lobes=lobes, **given,
+        )  # fmt: skip
+
+    @classmethod
+    def read_by(cls, pattern: Pattern) -> str:
+        """What of G a job's pattern reads."""
+        return cls.reads
+
+    @classmethod
+    def follows(cls, pattern: Pattern) -> bool:
+        """Whether a job's pattern follows the painted direction."""
+        return cls.directed
+
+    @property
+    def band(self) -> Band | None:
+        """The kernels' frequencies; None where a direction that jumps makes G jump."""
+        return None if self.at_nodes else Band(self.periods_mm, self.bandwidth)
 
     @property
     def envelope(self) -> NDArray[np.float32] | None:

@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from numbers import Integral, Real
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from amslicer import reference
+from amslicer import reference, wavereference
 from amslicer.errors import UsageError
 from amslicer.noise import NOISES
-from amslicer.noise.gabor import IsotropicGabor
+from amslicer.noise.gabor import Gabor, IsotropicGabor
 from amslicer.noise.lobes import MOST as MAX_LOBES
-from amslicer.noise.phacelle import Phacelle
-from amslicer.specification import MAX_SEED
+from amslicer.noise.phacelle import Phacelle, SimplePhacelle
+from amslicer.noise.phasor import Phasor
+from amslicer.noise.spectra import Spectrum, SpectrumSpec, Waveform, describe_spectra, make_spectrum
+from amslicer.noise.waves import Wave
+from amslicer.specification import MAX_DIRECTIONS, MAX_SEED, MIN_DIRECTIONS
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
@@ -25,11 +28,17 @@ if TYPE_CHECKING:
 
 SAMPLED = 17  # per axis of the points' box where a function's bounds are looked for
 ROOM = 1.25  # that the bounds get beyond what was seen
+COUNTED = f"a whole number from {MIN_DIRECTIONS} to {MAX_DIRECTIONS}"
+KERNEL_NOISES = {
+    "phasor": Phasor, "gabor": Gabor, "gabor-isotropic": IsotropicGabor, "phacelle": Phacelle,
+    "phacelle-simple": SimplePhacelle,
+}  # fmt: skip
 
 
 def sample(
     name: str, x: ArrayLike, y: ArrayLike, z: ArrayLike, *, period: Scalar, bandwidth: float, orientation: Scalar,
     elevation: Scalar, isotropy: Scalar, seed: int, dimensions: int | None, impulses: float | None, lobes: Lobes,
+    directions: int | None, spectrum: object, time: float, fourth: float,
 ) -> NDArray[np.complex128]:  # fmt: skip
     """As amslicer.noise.sample says."""
     if name not in NOISES:
@@ -48,14 +57,18 @@ def sample(
         ("seed", seed, False, _is_seed, "a whole number from 0 to 2^64 - 1"),
         ("dimensions", dimensions, False, lambda v: v in (2, 3), "2 or 3"),
         ("impulses", 1.0 if impulses is None else impulses, False, lambda v: 0 < v < np.inf, "greater than 0"),
+        ("directions", MIN_DIRECTIONS if directions is None else directions, False, _is_count, COUNTED),
+        ("time", time, False, np.isfinite, "a number of periods"),
+        ("fourth", fourth, False, np.isfinite, "a number of periods"),
     ):
         if paintable and callable(value):
             continue
         if not isinstance(value, Real) or not accepted(value):
             hint = "give a number, or a function of (N, 3) places" if paintable else "give one number"
             raise UsageError(f"{key} is {value!r}; it is {said}", hint=hint)
-    if lobes and (NOISES[name].at_nodes or not NOISES[name].directed):
-        has = "reads its direction at each point" if NOISES[name].directed else "has no direction"
+    kind = NOISES[name]
+    if lobes and "lobes" not in kind.keys:
+        has = "reads its direction at each point" if name != "gabor-isotropic" else "has no direction"
         raise UsageError(f"lobes are {lobes!r}, but {name} {has}", hint="leave them out")
     _check_lobes(lobes)
     points = np.stack(np.broadcast_arrays(*(np.asarray(c, np.float64) for c in (x, y, z))), axis=-1).reshape(-1, 3)
@@ -63,7 +76,12 @@ def sample(
         return np.zeros(np.broadcast_shapes(*(np.shape(c) for c in (x, y, z))), np.complex128)
     periods = _bounds(period, points) if callable(period) else (float(period), float(period))
     given: dict[str, Any] = {} if impulses is None else {"impulses": impulses}
-    noise = NOISES[name](periods_mm=periods, bandwidth=bandwidth, dimensions=dimensions, seed=seed, **given)
+    if kind is not Wave and (directions, spectrum, time, fourth) != (None, "laminate", 0.0, 0.0):
+        raise UsageError(
+            f"directions, spectrum, time and fourth mean nothing to {name}", hint="leave them out, or sample wave"
+        )
+    if kind is Wave and impulses is not None:
+        raise UsageError(f"impulses is {impulses}, but {name} has directions", hint="leave it out")
 
     def normal(places: Floats) -> Floats:
         azimuth, tilt = (np.deg2rad(v(places) if callable(v) else v) for v in (orientation, elevation))
@@ -73,6 +91,12 @@ def sample(
     def clipped(places: Floats) -> Floats:
         return np.clip(period(places), *periods) if callable(period) else np.full(len(places), period)
 
+    if kind is Wave:
+        wave = Wave(
+            periods, bandwidth, dimensions, seed, directions or 0, _spectrum(spectrum), time=time, fourth=fourth
+        )
+        return _sampled_wave(wave, (x, y, z), clipped, normal, isotropy)
+    noise = KERNEL_NOISES[name](periods_mm=periods, bandwidth=bandwidth, dimensions=dimensions, seed=seed, **given)
     if isinstance(noise, Phacelle):
         return reference.phacelle(
             x, y, z, period=clipped, side_mm=noise.side_mm, dimensions=dimensions, seed=seed, normal=normal,
@@ -89,6 +113,39 @@ def sample(
         x, y, z, period=clipped, bandwidth=bandwidth, dimensions=dimensions, seed=seed, normal=normal,
         isotropy=isotropy, impulses=noise.impulses, periods=periods, lobes=lobes,
     )  # fmt: skip
+
+
+def _sampled_wave(
+    wave: Wave, at: tuple[ArrayLike, ArrayLike, ArrayLike], period: Callable[[Floats], Floats],
+    normal: Callable[[Floats], Floats], isotropy: Scalar,
+) -> NDArray[np.complex128]:  # fmt: skip
+    form = isinstance(wave.spectrum, Waveform)
+    return wavereference.wave(
+        *at, period=period, bandwidth=wave.bandwidth, dimensions=wave.dimensions, seed=wave.seed, normal=normal,
+        isotropy=isotropy, directions=wave.directions, length_mm=wave.length_mm, samples=wave.samples,
+        periods=wave.table_periods_mm, table=wave.tables[0] if form else None, time=wave.time, fourth=wave.fourth,
+        amplitude=lambda f: wave.spectrum.amplitude(f, wave.bandwidth),  # type: ignore[union-attr]
+        band=(0.0, 0.0) if isinstance(wave.spectrum, Waveform) else wave.spectrum.band(wave.bandwidth),
+    )  # fmt: skip
+
+
+def _spectrum(spec: object) -> Spectrum | Waveform:
+    """A spectrum as the job file writes it.
+
+    Raises:
+        UsageError: it is none.
+    """
+    from pydantic import TypeAdapter, ValidationError
+
+    try:
+        return make_spectrum(TypeAdapter(SpectrumSpec).validate_python(spec))
+    except ValidationError as error:
+        said = error.errors()[0]["msg"].removeprefix("Value error, ")
+        raise UsageError(f"spectrum is {spec!r}: {said}", hint=f"there are: {describe_spectra()}") from None
+
+
+def _is_count(value: object) -> bool:
+    return isinstance(value, Integral) and MIN_DIRECTIONS <= int(value) <= MAX_DIRECTIONS
 
 
 def _check_lobes(lobes: object) -> None:
