@@ -282,14 +282,15 @@ def _refuse_contradictions(spec: JobFile, origin: Origin) -> None:
     _refuse_keys_of_others(spec, origin)
     reads = kind.read_by(pattern)
     if reads != "phase":
+        bare = reads == "power" or kind.made_of == "planes"  # no wave is behind the value
         needs: tuple[tuple[str, bool, Any, Any], ...] = (
             (
                 "profile",
-                make_profile(pattern.profile).arrows or (reads == "power" and profile_name(pattern.profile) not in PWM),
+                make_profile(pattern.profile).arrows or (bare and profile_name(pattern.profile) not in PWM),
                 profile_name(pattern.profile),
                 "pwm",
             ),
-            ("edges", reads == "power" and pattern.edges != "sharp", pattern.edges, "sharp"),
+            ("edges", bare and pattern.edges != "sharp", pattern.edges, "sharp"),
             ("alignment", pattern.alignment > 0, pattern.alignment, 0),
         )
         for key, refused, value, default in needs:

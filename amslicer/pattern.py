@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Protocol, cast
 
 import numpy as np
@@ -13,9 +14,11 @@ from amslicer.generator import DeviceGenerator
 from amslicer.mask import all_solid
 from amslicer.noise import NOISES
 from amslicer.noise.alignment import Alignment
+from amslicer.noise.hyperplanes import Hyperplanes
 from amslicer.noise.kernels import Kernels, join_kernels
 from amslicer.noise.lobes import Lobes, make_lobes
 from amslicer.noise.waves import Wave
+from amslicer.planeevaluator import PlaneEvaluator
 from amslicer.profiles import ROUNDING, make_profile
 from amslicer.tiles import Tiling, all_tiles, choose_tiling
 from amslicer.waveevaluator import Tables, WaveEvaluator
@@ -38,7 +41,10 @@ if TYPE_CHECKING:
 def make_noise(job: Job, painted: Painted) -> Noise:
     """The job's noise with its parameters."""
     pattern = job.spec.pattern
-    return NOISES[pattern.noise].of_pattern(pattern, painted.period_bounds_mm, job_lobes(job, painted))
+    noise = NOISES[pattern.noise].of_pattern(pattern, painted.period_bounds_mm, job_lobes(job, painted))
+    if isinstance(noise, Wave):
+        return replace(noise, isotropy=min(max(painted.isotropy_bounds[0], 0.0), 1.0))
+    return noise
 
 
 def job_lobes(job: Job, painted: Painted) -> Lobes | None:
@@ -264,6 +270,11 @@ class Pattern:
             self.device, self._wave_tables, tiles, normals, tiling, block, self.painted, planar=self.planar
         )
 
+    def plane_evaluator(self, tiling: Tiling, block: int, tiles: NDArray[np.int32]) -> PlaneEvaluator:
+        """Of noises made of planes."""
+        assert isinstance(self.noise, Hyperplanes)
+        return PlaneEvaluator(self.device, self.noise, tiles, tiling, block, planar=self.planar)
+
     @property
     def _kernel_noise(self) -> KernelNoise:
         assert self.noise.made_of == "kernels"
@@ -381,4 +392,5 @@ class Pattern:
 EVALUATORS: dict[str, Callable[[Pattern, Tiling, int, NDArray[np.int32]], FieldEvaluator]] = {
     "kernels": Pattern.kernel_evaluator,
     "waves": Pattern.wave_evaluator,
+    "planes": Pattern.plane_evaluator,
 }

@@ -222,8 +222,19 @@ def _refuse_large_tables(job: Job, noise: Noise, grid: Grid, painted: Painted) -
         )
 
 
+def _refuse_graded_cells(job: Job, noise: Noise, grid: Grid, painted: Painted) -> None:
+    """Planes go through the whole part: they have one distance."""
+    shortest, longest = painted.period_bounds_mm
+    if longest > shortest * (1 + PERIOD_ROUNDING):
+        raise JobError(
+            f"pattern.period: from {shortest:.4g} to {longest:.4g} mm, but walls of {job.spec.pattern.noise} go "
+            "through the whole part: they have one period",
+            hint="give one number, or paint the ratio: walls get thicker where it is higher",
+        )
+
+
 # By what a noise is made of.
-SIZE_LIMITS = {"kernels": _refuse_many_kernels, "waves": _refuse_large_tables}
+SIZE_LIMITS = {"kernels": _refuse_many_kernels, "waves": _refuse_large_tables, "planes": _refuse_graded_cells}
 
 
 def layer_range(run: Run, count: int) -> range:

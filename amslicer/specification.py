@@ -25,6 +25,7 @@ Positive = Annotated[Number, Field(gt=0)]
 
 MAX_SEED = 2**64 - 1
 MIN_DIRECTIONS, MAX_DIRECTIONS = 4, 20_000  # fewer waves are gratings, more take minutes
+MAX_DEPTH = 12  # of divisions: cells of the last are then a thousandth of the first
 MIN_IMPULSES = 2  # fewer kernels leave empty places, where there is no phase and the ratio is wrong
 MIN_PITCH_MM, MAX_PITCH_MM = 1e-4, 1e3  # finer than light, coarser than a part: a mistake
 # Folder names on every file system, and the names of the stack's own entries.
@@ -172,7 +173,13 @@ class Pattern(Model):
         default=(), max_length=MAX_LOBES, description="several directions at every place; none: the painted one alone"
     )
     directions: Annotated[Whole, Field(ge=MIN_DIRECTIONS, le=MAX_DIRECTIONS)] | None = Field(
-        default=None, description="waves' directions, of wave noise; default: as many as the bandwidth needs"
+        default=None, description="directions of waves or walls; default: as many as the bandwidth needs, or 4"
+    )
+    probability: Annotated[Number, Field(ge=0, le=1)] | None = Field(
+        default=None, description="that a cell of wave-stit is divided further; default 0.7"
+    )
+    depth: Annotated[Whole, Field(ge=0, le=MAX_DEPTH)] | None = Field(
+        default=None, description="how often a cell of wave-stit is divided, at most; default 4"
     )
     spectrum: SpectrumSpec = Field(
         default="laminate",

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from amslicer.coherence import share_deviation
 from amslicer.errors import AmslicerError, JobError, StorageError
 from amslicer.fields.constant import ConstantSampler
 from amslicer.judgement import (
@@ -28,7 +29,7 @@ from amslicer.lobespread import resonance_deviation
 from amslicer.manifest import LayerRecord, placement_of
 from amslicer.noise import NOISES
 from amslicer.painted import Painted, open_fields
-from amslicer.pattern import job_lobes
+from amslicer.pattern import job_lobes, make_noise
 from amslicer.profiles import make_profile
 from amslicer.spread import DEFECT
 from amslicer.stack import VOLUME_SHARE, Stack, decode_bitmap
@@ -230,10 +231,12 @@ def verify_stack(
     pattern = job.spec.pattern
     profile = make_profile(pattern.profile)
     lobes = job_lobes(job, painted)
+    coherence = make_noise(job, painted).coherence
     texture = Texture(painted, stack.grid, pattern.bandwidth, profile, lobes)
+    usable = texture.usable and coherence is None  # what is no laminate has no direction and period
     shown: list[Shown] = []
     with ThreadPoolExecutor(Run(jobs=jobs).threads) as pool:
-        look = _LayerLook(stack, painted, windows, texture if texture.usable else None)
+        look = _LayerLook(stack, painted, windows, texture if usable else None)
         for done, (record, result) in enumerate(_in_order(pool, look.check, stack.records), 1):
             totals = [a + b for a, b in zip(totals, result.pixels, strict=True)]
             asked = [a + b for a, b in zip(asked, result.asked, strict=True)]
@@ -244,10 +247,11 @@ def verify_stack(
                 findings.add(law, problem)
             if progress:
                 progress(done, len(stack.records))
-    shown.extend(texture.finish())
+    shown.extend(texture.finish() if usable else ())
     levels = list(windows.levels(
         pattern.bandwidth, profile, values=NOISES[pattern.noise].read_by(pattern) != "phase",
         aligned=pattern.alignment > 0, lobes=lobes,
+        coherence=coherence,
     ))  # fmt: skip
     materials = _material_reports(stack, job, painted, totals, asked)
     for m in materials.values():
@@ -435,6 +439,7 @@ def ratio_tolerance(
     # Of the part's volume, or of the cross-section that is most of it: a box as large.
     filled = (solid * grid.voxel_mm3 / float(np.prod(size))) if axes == 3 else largest / (grid.columns * grid.rows)
     sides = size[:axes] / period * min(1.0, filled) ** (1 / axes)
+    across = float(np.min(np.abs(normals) @ size)) / period
     resonance = 0.0
     if lobes is not None:
         directions = lobes.all_directions(normals)
@@ -442,7 +447,12 @@ def ratio_tolerance(
             0.0, ratio, lobes=directions, shares=lobes.shares, bandwidth=pattern.bandwidth, window_periods=sides
         )))  # fmt: skip
         normals = directions.reshape(-1, 3)
-    if NOISES[pattern.noise].read_by(pattern) != "phase":
+        across = float(np.min(np.abs(normals) @ size)) / period
+    coherence = make_noise(job, painted).coherence
+    if coherence is not None:
+        sides_mm = sides[None] * period
+        sigma, across = float(share_deviation(np.array([[ratio]]), sides_mm, coherence)[0, 0]), math.inf
+    elif NOISES[pattern.noise].read_by(pattern) != "phase":
         sigma = max(
             float(np.max(level_deviation(
                 *cumulative, profile=make_profile(pattern.profile), bandwidth=pattern.bandwidth,
@@ -450,7 +460,6 @@ def ratio_tolerance(
             )))
             for n in (None, *normals)
         )  # fmt: skip
-    across = float(np.min(np.abs(normals) @ size)) / period
     faces = ratio * (1 - ratio) / max(across, 1.0)
     allowed = SIGMAS * math.hypot(sigma, resonance) + faces + PIXEL_SHARE / math.sqrt(solid) + DEFECT / area
     return min(allowed, max(ratio, 1 - ratio))

@@ -40,7 +40,7 @@ def samplers(job: Job) -> Iterator[Sampler]:
 
 
 def test_there_is_an_example_of_each() -> None:
-    assert {file.stem for file in EXAMPLES.glob("*.yaml")} >= {"expression", "radial", "planes"}
+    assert {file.stem for file in EXAMPLES.glob("*.yaml")} >= {"expression", "radial", "planes", "texture"}
 
 
 @pytest.mark.parametrize("file", sorted(EXAMPLES.glob("*.yaml")), ids=lambda file: file.stem)
@@ -85,6 +85,22 @@ def test_planes() -> None:
     assert at(fields.ratio, job, left, right, (9.999, 7, 0.001)) == pytest.approx([0.2, 0.8, 0.2])
     angles = at(fields.orientation, job, (3, -9.999, 4.999), (3, 9.999, 4.999), (3, 9.999, 0.001), (3, 0, 5))
     assert angles == pytest.approx([-45, 45, -45, 0])
+
+
+def test_texture() -> None:
+    job = example("texture")
+    fields: Any = job.spec.fields
+    ratio = open_field(fields.ratio, FRAME, Inputs(job.inputs.folder))
+    orientation = open_field(fields.orientation, FRAME, Inputs(job.inputs.folder))
+    assert ratio.bounds == pytest.approx((0.1, 0.7))
+    assert orientation.bounds == pytest.approx((6, 54))
+    assert ratio.varies == (True, True, False)
+    assert orientation.varies == (True, True, True)
+    points = np.random.default_rng(0).uniform(0, 1, (5000, 3)) * FRAME.size_mm
+    for sampler, mean, spread in ((ratio, 0.4, 0.1), (orientation, 30, 8)):
+        found = sampler.scalar(*points.T)
+        assert found.mean() == pytest.approx(mean, abs=0.25 * spread)
+        assert found.std() == pytest.approx(spread, rel=0.2)
 
 
 def test_profiles() -> None:

@@ -24,6 +24,7 @@ SAMPLES = sorted((REPOSITORY / "samples").glob("*/fields.yaml"))
 LEAST: dict[str, Any] = {"materials": ["rigid", "flexible"], "fields": {"ratio": 0.3}}
 GRADIENT = {"gradient": {"axis": "x", "from": 0.1, "to": 0.9}}
 IMAGE = {"image": "ratio.png", "range": [0, 1]}
+TEXTURE = {"texture": "grain.png", "mean": 0.4, "spread": 0.1, "size_mm": 12}
 
 SCHEMA = job_schema()
 VALIDATOR = Draft202012Validator(SCHEMA)
@@ -84,7 +85,7 @@ def test_the_walk_finds_every_section() -> None:
     sections = {path.split("/")[-1] for path, _ in objects(SCHEMA)}
     names = {"Printer", "PartSettings", "Material", "Pattern", "Fields", "AzimuthElevation", "Output"}
     assert sections >= {"", *names, "VectorComponents", "GradientSource", "LinearGradient", "RadialGradient"}
-    assert sections >= {"ImageSource", "ExpressionSource"}
+    assert sections >= {"ImageSource", "ExpressionSource", "TextureSource"}
 
 
 @pytest.mark.parametrize("file", SAMPLES, ids=lambda file: file.parent.name)
@@ -135,6 +136,8 @@ ACCEPTED: list[tuple[str, Any]] = [
     ("pattern.edges", "dithered"),
     ("fields.ratio", {"gradient": {"axis": "z", "from": 0, "to": 1, "start": -1, "end": 2.5}}),
     ("fields.ratio", {**IMAGE, "box": [0, 0, 10, 5]}),
+    ("fields.ratio", TEXTURE),
+    ("fields.ratio", {**TEXTURE, "kind": "asymptotic-spot", "seed": 2, "plane": "xz", "renew_mm": 3}),
     ("fields.orientation", 30),
     ("fields.orientation", IMAGE),
     ("fields.orientation", {"azimuth": IMAGE, "elevation": GRADIENT}),

@@ -15,6 +15,7 @@ from amslicer.fields.expression import ExpressionSource
 from amslicer.fields.gradient import GradientSource
 from amslicer.fields.image import ImageSource
 from amslicer.fields.source import Frame, Inputs, Sampler, Source
+from amslicer.fields.texture import TextureSource
 
 if TYPE_CHECKING:
     from typing import TypeAlias
@@ -23,9 +24,10 @@ SOURCES: dict[str, type[Source]] = {
     "gradient": GradientSource,
     "image": ImageSource,
     "expression": ExpressionSource,
+    "texture": TextureSource,
 }
 # Sources of the job file's language that this version does not have yet.
-PLANNED = ("volume", "vertex", "distance", "points", "texture", "strokes", "mix")
+PLANNED = ("volume", "vertex", "distance", "points", "strokes", "mix")
 
 
 def source_name(value: Any) -> str | None:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Protocol
 
+from amslicer.noise.cellular import Cellular, Polytope, Stit
 from amslicer.noise.gabor import Gabor, IsotropicGabor
 from amslicer.noise.gaborkernel import GaborKernel, gabor_noise, varying_gabor_noise
 from amslicer.noise.kernels import KernelNoise, Kernels, Noise
@@ -59,6 +60,9 @@ NOISES: dict[str, Maker] = {
     "phacelle": Phacelle,
     "phacelle-simple": SimplePhacelle,
     "wave": Wave,
+    "wave-cellular": Cellular,
+    "wave-polytope": Polytope,
+    "wave-stit": Stit,
 }
 
 __all__ = ["NOISES", "GaborKernel", "KernelNoise", "Kernels", "Noise", "gabor_noise", "sample", "varying_gabor_noise"]
@@ -68,14 +72,16 @@ def sample(
     name: str, x: ArrayLike, y: ArrayLike, z: ArrayLike = 0.0, *, period: Scalar = 1.0, bandwidth: float = 0.5,
     orientation: Scalar = 0.0, elevation: Scalar = 0.0, isotropy: Scalar = 0.0, seed: int = 1,
     dimensions: int | None = None, impulses: float | None = None, lobes: RelativeLobes = (),
-    directions: int | None = None, spectrum: Any = "laminate", time: float = 0.0, fourth: float = 0.0,
+    directions: int | None = None, spectrum: Any = None, time: float | None = None, fourth: float | None = None,
+    probability: float | None = None, depth: int | None = None,
 ) -> NDArray[np.complex128]:  # fmt: skip
     """A noise's complex field G at any points, in plain float64: no part, no file, no device.
 
     The same field as a job's with these parameters, whose origin is the lowest corner of its part. (Where a job's
     direction turns, its imaginary part may have the other sign, tile by tile; where its period varies, the kernels
     are others.) Its phase arg G makes the sheets of phasor and Phacelle noise (material 1 where |arg G| < π ratio);
-    its real part is Gabor noise. Kernels are summed one by one, in NumPy.
+    its real part is Gabor noise, or the value of cells (minus the distance to the nearest wall in mm, or minus a cell's
+    number in 0…1). Kernels are summed one by one, in NumPy.
 
     Args:
         name: a key of NOISES.
@@ -88,9 +94,10 @@ def sample(
         isotropy: 0 laminate … 1 isotropic, likewise.
         seed: 0 … 2^64 - 1.
         dimensions: 2 or 3; default 3 where z or elevation is given, else 2.
-        impulses: Λ, kernels per B^dimensions; default: the noise's. Not of phacelle.
+        impulses: Λ, kernels per B^dimensions; default: the noise's. Not of phacelle, nor of waves.
         lobes: several directions at a place, as (degrees about z from the painted normal, weight); at most 8.
-        directions, spectrum, time, fourth: of wave, as the job file's pattern has them.
+        directions, spectrum, time, fourth: of wave; directions, probability, depth: of wave-cellular, wave-polytope,
+            wave-stit; as in the job file's pattern.
 
     Returns:
         complex128, in the coordinates' common shape.
@@ -100,8 +107,11 @@ def sample(
     """
     from amslicer.noise.sampling import sample as sampled
 
+    of_noise = {
+        "impulses": impulses, "lobes": lobes, "directions": directions, "spectrum": spectrum, "time": time,
+        "fourth": fourth, "probability": probability, "depth": depth,
+    }  # fmt: skip
     return sampled(
         name, x, y, z, period=period, bandwidth=bandwidth, orientation=orientation, elevation=elevation,
-        isotropy=isotropy, seed=seed, dimensions=dimensions, impulses=impulses, lobes=lobes,
-        directions=directions, spectrum=spectrum, time=time, fourth=fourth,
+        isotropy=isotropy, seed=seed, dimensions=dimensions, of_noise=of_noise,
     )  # fmt: skip

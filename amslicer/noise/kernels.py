@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -156,6 +156,11 @@ class Noise(Protocol):
 
     def levels_of(self, cumulative: NDArray[Any]) -> Floats:
         """The values that shares of all values, 0…1, lie above; of noises whose value or power is read."""
+
+    @property
+    def coherence(self) -> Callable[[Floats], Floats] | None:
+        """How alike places are at distances in mm, 1 … 0; None where phases or values of a laminate's band are read, of
+        which more is known (amslicer/spread.py, amslicer/levelspread.py)."""
 
 
 class KernelNoise(Noise, Protocol):

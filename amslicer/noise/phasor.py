@@ -84,6 +84,11 @@ class Phasor:
         return cls.directed
 
     @property
+    def coherence(self) -> None:
+        """More is known."""
+        return None
+
+    @property
     def band(self) -> Band | None:
         """The kernels' frequencies; None where a direction that jumps makes G jump."""
         return None if self.at_nodes else Band(self.periods_mm, self.bandwidth)

@@ -1,87 +1,110 @@
-"""Noises at any points, by their parameters alone: the reference in amslicer/reference.py under the noises' names."""
+"""Noises at any points, by their parameters alone: the references' definitions under the noises' names."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from numbers import Integral, Real
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeGuard
 
 import numpy as np
 
-from amslicer import reference, wavereference
+from amslicer import planereference, reference, wavereference
 from amslicer.errors import UsageError
 from amslicer.noise import NOISES
 from amslicer.noise.gabor import Gabor, IsotropicGabor
+from amslicer.noise.hyperplanes import DEPTH, PROBABILITY
+from amslicer.noise.hyperplanes import DIRECTIONS as FAMILIES
 from amslicer.noise.lobes import MOST as MAX_LOBES
 from amslicer.noise.phacelle import Phacelle, SimplePhacelle
 from amslicer.noise.phasor import Phasor
 from amslicer.noise.spectra import Spectrum, SpectrumSpec, Waveform, describe_spectra, make_spectrum
 from amslicer.noise.waves import Wave
-from amslicer.specification import MAX_DIRECTIONS, MAX_SEED, MIN_DIRECTIONS
+from amslicer.specification import MAX_DEPTH, MAX_DIRECTIONS, MAX_SEED, MIN_DIRECTIONS
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
-    from amslicer.reference import Lobes, Scalar
+    from amslicer.reference import Scalar
 
     Floats = NDArray[np.float64]
+    Complexes = NDArray[np.complex128]
 
 SAMPLED = 17  # per axis of the points' box where a function's bounds are looked for
 ROOM = 1.25  # that the bounds get beyond what was seen
-COUNTED = f"a whole number from {MIN_DIRECTIONS} to {MAX_DIRECTIONS}"
-KERNEL_NOISES = {
-    "phasor": Phasor, "gabor": Gabor, "gabor-isotropic": IsotropicGabor, "phacelle": Phacelle,
-    "phacelle-simple": SimplePhacelle,
-}  # fmt: skip
+ONE_NUMBER = "give one number"
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What `sample` was asked for, checked.
+
+    Attributes:
+        at: x, y, z, which broadcast.
+        period: as given; of_place: as a function of (N, 3) places, within the bounds.
+        normal: (N, 3) places to (N, 3) unit normals.
+        of_noise: what means something to some noises only; None where it was left out.
+    """
+
+    name: str
+    at: tuple[ArrayLike, ArrayLike, ArrayLike]
+    period: Scalar
+    of_place: Callable[[Floats], Floats]
+    bounds: tuple[float, float]
+    bandwidth: float
+    normal: Callable[[Floats], Floats]
+    isotropy: Scalar
+    seed: int
+    dimensions: int
+    of_noise: Mapping[str, Any]
+
+    def of(self, key: str, default: Any) -> Any:
+        """What was given, or a default."""
+        return default if self.of_noise[key] is None else self.of_noise[key]
+
+    @property
+    def one_period(self) -> float:
+        """The period of noises that have only one.
+
+        Raises:
+            UsageError: it is a function.
+        """
+        if callable(self.period):
+            said = f"period is {self.period!r}; that of {self.name} is one number"
+            raise UsageError(said, hint="sample one period at a time")
+        return float(self.period)
 
 
 def sample(
     name: str, x: ArrayLike, y: ArrayLike, z: ArrayLike, *, period: Scalar, bandwidth: float, orientation: Scalar,
-    elevation: Scalar, isotropy: Scalar, seed: int, dimensions: int | None, impulses: float | None, lobes: Lobes,
-    directions: int | None, spectrum: object, time: float, fourth: float,
-) -> NDArray[np.complex128]:  # fmt: skip
-    """As amslicer.noise.sample says."""
+    elevation: Scalar, isotropy: Scalar, seed: int, dimensions: int | None, of_noise: Mapping[str, Any],
+) -> Complexes:  # fmt: skip
+    """As amslicer.noise.sample says; of_noise: what means something to some noises only, None where it is left out."""
     if name not in NOISES:
         raise UsageError(f"there is no noise '{name}'", hint=f"there are: {', '.join(NOISES)}")
     if dimensions is None:
         flat = np.ndim(z) == 0 and z == 0 and not callable(elevation) and elevation == 0
         dimensions = 2 if flat else 3
-    if name.startswith("phacelle") and impulses is not None:
-        raise UsageError(f"impulses is {impulses}, but {name} has one splat per cell", hint="leave it out")
     for key, value, paintable, accepted, said in (
         ("period", period, True, lambda v: 0 < v < np.inf, "greater than 0 mm"),
         ("bandwidth", bandwidth, False, lambda v: 0 < v <= 2, "above 0 up to 2"),
         ("orientation", orientation, True, np.isfinite, "degrees"),
         ("elevation", elevation, True, np.isfinite, "degrees"),
         ("isotropy", isotropy, True, lambda v: 0 <= v <= 1, "between 0 and 1"),
-        ("seed", seed, False, _is_seed, "a whole number from 0 to 2^64 - 1"),
+        ("seed", seed, False, lambda v: _is_whole(v, 0, MAX_SEED), "a whole number from 0 to 2^64 - 1"),
         ("dimensions", dimensions, False, lambda v: v in (2, 3), "2 or 3"),
-        ("impulses", 1.0 if impulses is None else impulses, False, lambda v: 0 < v < np.inf, "greater than 0"),
-        ("directions", MIN_DIRECTIONS if directions is None else directions, False, _is_count, COUNTED),
-        ("time", time, False, np.isfinite, "a number of periods"),
-        ("fourth", fourth, False, np.isfinite, "a number of periods"),
     ):
         if paintable and callable(value):
             continue
         if not isinstance(value, Real) or not accepted(value):
-            hint = "give a number, or a function of (N, 3) places" if paintable else "give one number"
+            hint = "give a number, or a function of (N, 3) places" if paintable else ONE_NUMBER
             raise UsageError(f"{key} is {value!r}; it is {said}", hint=hint)
-    kind = NOISES[name]
-    if lobes and "lobes" not in kind.keys:
-        has = "reads its direction at each point" if name != "gabor-isotropic" else "has no direction"
-        raise UsageError(f"lobes are {lobes!r}, but {name} {has}", hint="leave them out")
-    _check_lobes(lobes)
+    _check_of_noise(name, of_noise)
+    shape = np.broadcast_shapes(*(np.shape(c) for c in (x, y, z)))
     points = np.stack(np.broadcast_arrays(*(np.asarray(c, np.float64) for c in (x, y, z))), axis=-1).reshape(-1, 3)
     if not len(points):
-        return np.zeros(np.broadcast_shapes(*(np.shape(c) for c in (x, y, z))), np.complex128)
-    periods = _bounds(period, points) if callable(period) else (float(period), float(period))
-    given: dict[str, Any] = {} if impulses is None else {"impulses": impulses}
-    if kind is not Wave and (directions, spectrum, time, fourth) != (None, "laminate", 0.0, 0.0):
-        raise UsageError(
-            f"directions, spectrum, time and fourth mean nothing to {name}", hint="leave them out, or sample wave"
-        )
-    if kind is Wave and impulses is not None:
-        raise UsageError(f"impulses is {impulses}, but {name} has directions", hint="leave it out")
+        return np.zeros(shape, np.complex128)
+    bounds = _bounds(period, points) if callable(period) else (float(period), float(period))
 
     def normal(places: Floats) -> Floats:
         azimuth, tilt = (np.deg2rad(v(places) if callable(v) else v) for v in (orientation, elevation))
@@ -89,44 +112,104 @@ def sample(
         return np.stack([np.cos(tilt) * np.cos(azimuth), np.cos(tilt) * np.sin(azimuth), np.sin(tilt)], axis=-1)
 
     def clipped(places: Floats) -> Floats:
-        return np.clip(period(places), *periods) if callable(period) else np.full(len(places), period)
+        return np.clip(period(places), *bounds) if callable(period) else np.full(len(places), period)
 
-    if kind is Wave:
-        wave = Wave(
-            periods, bandwidth, dimensions, seed, directions or 0, _spectrum(spectrum), time=time, fourth=fourth
-        )
-        return _sampled_wave(wave, (x, y, z), clipped, normal, isotropy)
-    noise = KERNEL_NOISES[name](periods_mm=periods, bandwidth=bandwidth, dimensions=dimensions, seed=seed, **given)
-    if isinstance(noise, Phacelle):
-        return reference.phacelle(
-            x, y, z, period=clipped, side_mm=noise.side_mm, dimensions=dimensions, seed=seed, normal=normal,
-            isotropy=isotropy, lobes=lobes, simple=noise.at_nodes,
-        )  # fmt: skip
-    if isinstance(noise, IsotropicGabor):
-        if callable(period):
-            raise UsageError(f"period is {period!r}; that of {name} is one number", hint="sample one period at a time")
-        return reference.isotropic_gabor(
-            x, y, z, period=float(period), bandwidth=bandwidth, dimensions=dimensions, seed=seed,
-            impulses=noise.impulses,
-        )  # fmt: skip
+    asked = Asked(
+        name, (x, y, z), period, clipped, bounds, bandwidth, normal, isotropy, seed, dimensions, of_noise
+    )  # fmt: skip
+    return SAMPLERS[name](asked)
+
+
+def _phasor(asked: Asked) -> Complexes:
+    default = {"phasor": Phasor, "gabor": Gabor}[asked.name].impulses
     return reference.phasor(
-        x, y, z, period=clipped, bandwidth=bandwidth, dimensions=dimensions, seed=seed, normal=normal,
-        isotropy=isotropy, impulses=noise.impulses, periods=periods, lobes=lobes,
+        *asked.at, period=asked.of_place, bandwidth=asked.bandwidth, dimensions=asked.dimensions, seed=asked.seed,
+        normal=asked.normal, isotropy=asked.isotropy, impulses=asked.of("impulses", default), periods=asked.bounds,
+        lobes=asked.of("lobes", ()),
     )  # fmt: skip
 
 
-def _sampled_wave(
-    wave: Wave, at: tuple[ArrayLike, ArrayLike, ArrayLike], period: Callable[[Floats], Floats],
-    normal: Callable[[Floats], Floats], isotropy: Scalar,
-) -> NDArray[np.complex128]:  # fmt: skip
-    form = isinstance(wave.spectrum, Waveform)
+def _isotropic_gabor(asked: Asked) -> Complexes:
+    return reference.isotropic_gabor(
+        *asked.at, period=asked.one_period, bandwidth=asked.bandwidth, dimensions=asked.dimensions, seed=asked.seed,
+        impulses=asked.of("impulses", IsotropicGabor.impulses),
+    )  # fmt: skip
+
+
+def _phacelle(asked: Asked) -> Complexes:
+    kind = {"phacelle": Phacelle, "phacelle-simple": SimplePhacelle}[asked.name]
+    noise = kind(
+        periods_mm=asked.bounds, bandwidth=asked.bandwidth, dimensions=asked.dimensions, seed=asked.seed
+    )  # fmt: skip
+    return reference.phacelle(
+        *asked.at, period=asked.of_place, side_mm=noise.side_mm, dimensions=asked.dimensions, seed=asked.seed,
+        normal=asked.normal, isotropy=asked.isotropy, lobes=asked.of("lobes", ()), simple=noise.at_nodes,
+    )  # fmt: skip
+
+
+def _wave(asked: Asked) -> Complexes:
+    spectrum = _spectrum(asked.of("spectrum", "laminate"))
+    wave = Wave(
+        asked.bounds, asked.bandwidth, asked.dimensions, asked.seed, asked.of("directions", 0), spectrum,
+        time=asked.of("time", 0.0), fourth=asked.of("fourth", 0.0),
+    )  # fmt: skip
+    form = isinstance(spectrum, Waveform)
     return wavereference.wave(
-        *at, period=period, bandwidth=wave.bandwidth, dimensions=wave.dimensions, seed=wave.seed, normal=normal,
-        isotropy=isotropy, directions=wave.directions, length_mm=wave.length_mm, samples=wave.samples,
-        periods=wave.table_periods_mm, table=wave.tables[0] if form else None, time=wave.time, fourth=wave.fourth,
-        amplitude=lambda f: wave.spectrum.amplitude(f, wave.bandwidth),  # type: ignore[union-attr]
-        band=(0.0, 0.0) if isinstance(wave.spectrum, Waveform) else wave.spectrum.band(wave.bandwidth),
+        *asked.at, period=asked.of_place, bandwidth=wave.bandwidth, dimensions=wave.dimensions, seed=wave.seed,
+        normal=asked.normal, isotropy=asked.isotropy, directions=wave.directions, length_mm=wave.length_mm,
+        samples=wave.samples, periods=wave.table_periods_mm, time=wave.time, fourth=wave.fourth,
+        table=wave.tables[0] if form else None,
+        amplitude=np.ones_like if isinstance(spectrum, Waveform) else lambda f: spectrum.amplitude(f, wave.bandwidth),
+        band=(0.0, 0.0) if isinstance(spectrum, Waveform) else spectrum.band(wave.bandwidth),
     )  # fmt: skip
+
+
+def _cells(asked: Asked) -> Complexes:
+    value, _ = planereference.values(
+        asked.name.removeprefix("wave-"), *asked.at, period=asked.one_period, dimensions=asked.dimensions,
+        seed=asked.seed, directions=asked.of("directions", FAMILIES), probability=asked.of("probability", PROBABILITY),
+        depth=asked.of("depth", DEPTH),
+    )  # fmt: skip
+    return value.astype(np.complex128)
+
+
+SAMPLERS: dict[str, Callable[[Asked], Complexes]] = {
+    "phasor": _phasor, "gabor": _phasor, "gabor-isotropic": _isotropic_gabor, "phacelle": _phacelle,
+    "phacelle-simple": _phacelle, "wave": _wave, "wave-cellular": _cells, "wave-polytope": _cells, "wave-stit": _cells,
+}  # fmt: skip
+
+
+def _check_of_noise(name: str, of_noise: Mapping[str, Any]) -> None:
+    """Whether each means something to the noise, and is in its range."""
+    kind = NOISES[name]
+    for key, value in of_noise.items():
+        if value is None or (key == "lobes" and not value):
+            continue
+        if key not in kind.keys:
+            raise UsageError(f"{key} is {value!r}, which means nothing to {name}", hint="leave it out")
+        if key in NUMBERS:
+            accepted, said = NUMBERS[key]
+            if not isinstance(value, Real) or isinstance(value, bool) or not accepted(value):
+                raise UsageError(f"{key} is {value!r}; it is {said}", hint=ONE_NUMBER)
+    if of_noise["lobes"]:
+        _check_lobes(of_noise["lobes"])
+
+
+def _is_whole(value: object, low: int, high: int) -> TypeGuard[int]:
+    return isinstance(value, Integral) and low <= int(value) <= high
+
+
+NUMBERS: dict[str, tuple[Callable[[Any], bool], str]] = {
+    "impulses": (lambda v: 0 < v < np.inf, "greater than 0"),
+    "directions": (
+        lambda v: _is_whole(v, MIN_DIRECTIONS, MAX_DIRECTIONS),
+        f"a whole number from {MIN_DIRECTIONS} to {MAX_DIRECTIONS}",
+    ),
+    "time": (lambda v: bool(np.isfinite(v)), "a number of periods"),
+    "fourth": (lambda v: bool(np.isfinite(v)), "a number of periods"),
+    "probability": (lambda v: 0 <= v <= 1, "between 0 and 1"),
+    "depth": (lambda v: _is_whole(v, 0, MAX_DEPTH), f"a whole number from 0 to {MAX_DEPTH}"),
+}
 
 
 def _spectrum(spec: object) -> Spectrum | Waveform:
@@ -144,10 +227,6 @@ def _spectrum(spec: object) -> Spectrum | Waveform:
         raise UsageError(f"spectrum is {spec!r}: {said}", hint=f"there are: {describe_spectra()}") from None
 
 
-def _is_count(value: object) -> bool:
-    return isinstance(value, Integral) and MIN_DIRECTIONS <= int(value) <= MAX_DIRECTIONS
-
-
 def _check_lobes(lobes: object) -> None:
     said = f"lobes are {lobes!r}; they are up to {MAX_LOBES} pairs of (degrees, weight above 0)"
     hint = "for example [(0, 1), (90, 1)]"
@@ -158,10 +237,6 @@ def _check_lobes(lobes: object) -> None:
             raise UsageError(said, hint=hint)
         if not np.isfinite(lobe[0]) or not 0 < lobe[1] < np.inf:
             raise UsageError(said, hint=hint)
-
-
-def _is_seed(value: object) -> bool:
-    return isinstance(value, Integral) and 0 <= int(value) <= MAX_SEED
 
 
 def _bounds(period: object, points: Floats) -> tuple[float, float]:

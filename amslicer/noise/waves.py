@@ -33,6 +33,8 @@ from amslicer.noise.kernels import WORD
 from amslicer.noise.spectra import IMPULSE_WIDTH, IMPULSES, STEPS, Laminate, Spectrum, Waveform, make_spectrum
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from numpy.typing import NDArray
 
     from amslicer.noise.lobes import Lobes
@@ -58,6 +60,7 @@ EQUATOR = sin(radians(5.0))
 COSINES, ISOTROPIES = 4096, 33  # of the table of weights
 LOBE_NODES = 4  # of the quadrature over the isotropy's spread, per width of the lobe
 PERIOD_STEP = 0.5  # between tables of a painted period, in standard deviations of the laminate's ring
+COHERENT_PERIODS, COHERENCES, FEW_LINES = 40.0, 1001, 32  # of how alike places are
 MAX_TABLE_BYTES = 256 << 20
 READS = {"phase": "phase", "real": "value", "modulus": "power"}  # the job file's words
 
@@ -99,6 +102,7 @@ class Wave:
         spectrum: amplitudes, or a waveform.
         reads: "phase", "value" or "power": materials follow from arg G, Re G or |G|².
         time: how far each wave has travelled, in shortest periods, half of them forth and half back.
+        isotropy: the lowest that is painted; what is expected of windows follows from it, and nothing else.
         fourth: another coordinate, in shortest periods: waves move with it at speeds of their own, -1 … 1.
     """
 
@@ -111,6 +115,7 @@ class Wave:
     reads: str = "phase"
     time: float = 0.0
     fourth: float = 0.0
+    isotropy: float = 0.0
     made_of: ClassVar[str] = "waves"
     keys: ClassVar[frozenset[str]] = frozenset({"directions", "spectrum", "reads", "time", "fourth"})
 
@@ -297,6 +302,39 @@ class Wave:
         if not self.directed:
             return np.ones((len(isotropy), COSINES + 1))
         return lobes(np.linspace(0.0, 1.0, COSINES + 1), isotropy, self.bandwidth, self.dimensions)
+
+    @property
+    def coherence(self) -> Callable[[Floats], Floats] | None:
+        """|γ| along the sheets, where it lasts longest; None of a laminate's phase or value, of which more is known."""
+        if isinstance(self.spectrum, Laminate) and self.reads != "power":
+            return None
+        normal, along = ((1.0, 0, 0), (0, 1.0, 0)) if self.dimensions == 2 else ((0, 0, 1.0), (1.0, 0, 0))
+        directions = self.parts.directions(np.full((self.directions, 2), 0.5), np.arange(self.directions))
+        cosines = np.linspace(0.0, 1.0, COSINES + 1)
+        weight = np.interp(np.abs(directions @ normal), cosines, self.weights(np.array([self.isotropy]))[0]) ** 2
+        frequency, power = self._few_lines
+        distance = np.linspace(0.0, COHERENT_PERIODS, COHERENCES) * self.periods_mm[1]
+        phase = 2 * pi * frequency * (self.periods_mm[0] / self.periods_mm[1])
+        across = np.abs(directions @ along)
+        found = np.zeros(COHERENCES)
+        for c, w in zip(across, weight / weight.sum(), strict=True):
+            found += w * (power * np.cos(distance[:, None] * phase * c)).sum(axis=1)
+        # Beyond, slices are independent; until there, it does not fall below what is still to come.
+        alike = np.maximum.accumulate(np.abs(found)[::-1])[::-1]
+        return lambda d: np.interp(d, distance, alike, right=0.0)
+
+    @property
+    def _few_lines(self) -> tuple[Floats, Floats]:
+        """Frequencies (1/mm) and powers, Σ 1, of the finest table, or of a waveform's."""
+        if isinstance(self.spectrum, Waveform):
+            power = np.abs(np.fft.rfft(self.tables[0].real))[1:] ** 2
+            frequency = np.arange(1, len(power) + 1) / self.length_mm
+        else:
+            frequency, power = self._line
+        starts = np.unique(np.geomspace(1, len(power), FEW_LINES).astype(int) - 1)
+        total = np.add.reduceat(power, starts)
+        mean = np.add.reduceat(power * frequency, starts) / np.where(total > 0, total, 1.0)
+        return mean, total / total.sum()
 
     def levels_of(self, cumulative: NDArray[Any]) -> Floats:
         """The values of Re G, or of |G|², that shares of all values lie above: -∞ (0) for 1, +∞ for 0.
