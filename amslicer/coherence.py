@@ -1,8 +1,8 @@
 """How far a material's share of a window scatters where all that is known is how alike places are at a distance.
 
-Of a Gaussian value's level set, as of any function of it, the correlation is at most that of the value, |γ(d)| (each
-term of its Hermite series has a power of it). So the variance of a share ρ is at most ρ (1 - ρ) times the mean of |γ| over
-pairs of places in the window.
+Of a Gaussian value's level set, as of any function of it, the correlation is at most that of the value, |γ(d)|: each
+term of its Hermite series has a power of it. So the variance of a share ρ is at most ρ (1 - ρ) times the mean of |γ|
+over pairs of places in the window.
 """
 
 from __future__ import annotations

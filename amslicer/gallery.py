@@ -12,6 +12,7 @@ import numpy as np
 
 from amslicer.analysis import DECADES, decades, power_map
 from amslicer.noise import NOISES, Noise, sample
+from amslicer.noise.setting import Setting
 from amslicer.pictures import BACKGROUND, GAP, INK, TEXT_HEIGHT
 from amslicer.profiles import PROFILES, make_profile
 from amslicer.profiles.waveforms import BlendShape, HarmonicsShape
@@ -126,7 +127,7 @@ def labels(noise: str, g: Complexes, cumulative: tuple[float | Floats, ...], pro
 
 def _made(noise: str) -> Noise:
     pattern = Pattern.model_validate({"noise": noise, "dimensions": 2, "bandwidth": BANDWIDTH, "seed": SEED})
-    return NOISES[noise].of_pattern(pattern, (1.0, 1.0), None)
+    return NOISES[noise].of_pattern(pattern, Setting((1.0, 1.0)))
 
 
 def grey(values: Floats, most: float | None = None) -> Picture:

@@ -78,7 +78,8 @@ class Job:
 
     def input_paths(self) -> tuple[str, ...]:
         """The field files that the job names, in order, once each."""
-        return tuple(dict.fromkeys(path for source in self.sources() for path in source.paths()))
+        exemplar = () if self.spec.pattern.exemplar is None else (self.spec.pattern.exemplar,)
+        return tuple(dict.fromkeys([*(path for source in self.sources() for path in source.paths()), *exemplar]))
 
 
 def load_job(
@@ -131,6 +132,9 @@ def _find_sources(node: Any) -> Iterator[Source]:
 
 def _dump(spec: JobFile, renamed: Mapping[str, str]) -> dict[str, Any]:
     content: dict[str, Any] = _with_paths(spec, renamed).model_dump(mode="json", by_alias=True, exclude_none=True)
+    exemplar = spec.pattern.exemplar
+    if exemplar is not None:
+        content["pattern"]["exemplar"] = renamed.get(exemplar, exemplar)
     return content
 
 

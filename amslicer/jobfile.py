@@ -21,8 +21,6 @@ PWM = ("pwm", "symmetric")
 OVERRIDES = "overrides"  # what messages call values that did not come from the job file
 # Keys and values of the job file's language that this version does not know at all.
 UNBUILT_KEYS = (
-    "exemplar",
-    "exemplar_pixel_mm",
     "isotropy_model",
     "skin",
     "bodies",
@@ -79,7 +77,6 @@ def validate(content: dict[str, Any], origin: Origin, overrides: Mapping[str, An
     except ValidationError as error:
         raise _explain(error, content, origin) from None
     _refuse_many_materials(spec, origin)
-    _refuse_unbuilt(spec, origin)
     _refuse_contradictions(spec, origin)
     return spec
 
@@ -236,20 +233,6 @@ def _refuse_many_materials(spec: JobFile, origin: Origin) -> None:
         )
 
 
-def _refuse_unbuilt(spec: JobFile, origin: Origin) -> None:
-    """Keys of the language that this version accepts only at their defaults."""
-    from amslicer.noise import NOISES
-
-    pattern = spec.pattern
-    refusals: tuple[tuple[bool, KeyPath, str, str], ...] = (
-        (pattern.noise not in NOISES, ("pattern", "noise"), f"'{pattern.noise}'", ", ".join(NOISES)),
-    )
-    for refused, path, what, built in refusals:
-        if refused:
-            key = ".".join(map(str, path))
-            raise origin.error(path, f"{key}: {what} is not built yet in this version", f"built: {built}")
-
-
 def _refuse_contradictions(spec: JobFile, origin: Origin) -> None:
     """What no single key is to blame for."""
     from amslicer.noise import NOISES
@@ -282,7 +265,7 @@ def _refuse_contradictions(spec: JobFile, origin: Origin) -> None:
     _refuse_keys_of_others(spec, origin)
     reads = kind.read_by(pattern)
     if reads != "phase":
-        bare = reads == "power" or kind.made_of == "planes"  # no wave is behind the value
+        bare = reads == "power" or kind.made_of in ("planes", "textures")  # no wave is behind the value
         needs: tuple[tuple[str, bool, Any, Any], ...] = (
             (
                 "profile",
@@ -341,6 +324,12 @@ def _refuse_keys_of_others(spec: JobFile, origin: Origin) -> None:
                 f"pattern.{key}: {shown} means nothing to {pattern.noise} noise",
                 f"leave it out; it belongs to {', '.join(others)}",
             )
+    if "exemplar" in keys and pattern.exemplar is None:
+        raise origin.error(
+            ("pattern", "exemplar"),
+            f"pattern.exemplar: {pattern.noise} noise imitates a picture, and none is named",
+            "exemplar: grain.png, a plain grey or RGB picture of the texture beside the job file",
+        )
     if isinstance(make_spectrum(pattern.spectrum), Waveform) and pattern.reads not in (None, "real"):
         raise origin.error(
             ("pattern", "reads"),

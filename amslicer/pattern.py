@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import replace
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any, Protocol, cast
 
 import numpy as np
@@ -17,9 +17,12 @@ from amslicer.noise.alignment import Alignment
 from amslicer.noise.hyperplanes import Hyperplanes
 from amslicer.noise.kernels import Kernels, join_kernels
 from amslicer.noise.lobes import Lobes, make_lobes
+from amslicer.noise.setting import Setting
+from amslicer.noise.textures import RandomPhase
 from amslicer.noise.waves import Wave
 from amslicer.planeevaluator import PlaneEvaluator
 from amslicer.profiles import ROUNDING, make_profile
+from amslicer.textureevaluator import TextureEvaluator, Textures
 from amslicer.tiles import Tiling, all_tiles, choose_tiling
 from amslicer.waveevaluator import Tables, WaveEvaluator
 
@@ -38,13 +41,34 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
 
 
+BRIGHTNESS = np.array([0.299, 0.587, 0.114])  # of red, green, blue (ITU-R BT.601)
+
+
 def make_noise(job: Job, painted: Painted) -> Noise:
     """The job's noise with its parameters."""
     pattern = job.spec.pattern
-    noise = NOISES[pattern.noise].of_pattern(pattern, painted.period_bounds_mm, job_lobes(job, painted))
-    if isinstance(noise, Wave):
-        return replace(noise, isotropy=min(max(painted.isotropy_bounds[0], 0.0), 1.0))
-    return noise
+    width, depth = (float(v) for v in painted.placement.size_mm[:2])
+    pixel_mm = pattern.exemplar_pixel_mm or job.spec.printer.pitch_mm[0]
+    setting = Setting(
+        painted.period_bounds_mm, job_lobes(job, painted), isotropy=min(max(painted.isotropy_bounds[0], 0.0), 1.0),
+        size_mm=(width, depth), pixel_mm=pixel_mm, exemplar=None if pattern.exemplar is None else _example(job),
+    )  # fmt: skip
+    return NOISES[pattern.noise].of_pattern(pattern, setting)
+
+
+def _example(job: Job) -> Floats:
+    """The periodic component of the job's exemplar, of colours that of the brightness."""
+    name = job.spec.pattern.exemplar
+    assert name is not None
+    return _periodic(job.inputs.read(name), name)
+
+
+@lru_cache(maxsize=2)
+def _periodic(content: bytes, name: str) -> Floats:
+    from amslicer.exemplar import periodic_component, read_exemplar
+
+    exemplar = read_exemplar(content, name)
+    return periodic_component(exemplar.values[..., 0] if exemplar.is_grey else exemplar.values @ BRIGHTNESS)
 
 
 def job_lobes(job: Job, painted: Painted) -> Lobes | None:
@@ -119,6 +143,7 @@ class Pattern:
         self._rectangle = low.min(axis=0) - tiling.outside_mm, high.max(axis=0) + tiling.outside_mm
         self._alignment: Alignment | None = None
         self._wave_tables: Tables | None = None
+        self._textures: Textures | None = None
         if sweeps:
             size = painted.placement.size_mm
             self._alignment = Alignment(self._kernel_noise, sweeps, size, self._generator, self._kernels_of)
@@ -275,6 +300,13 @@ class Pattern:
         assert isinstance(self.noise, Hyperplanes)
         return PlaneEvaluator(self.device, self.noise, tiles, tiling, block, planar=self.planar)
 
+    def texture_evaluator(self, tiling: Tiling, block: int, tiles: NDArray[np.int32]) -> TextureEvaluator:
+        """Of noises that are textures."""
+        if self._textures is None:
+            assert isinstance(self.noise, RandomPhase)
+            self._textures = Textures(self.device, self.noise)
+        return TextureEvaluator(self.device, self._textures, tiles, tiling, block)
+
     @property
     def _kernel_noise(self) -> KernelNoise:
         assert self.noise.made_of == "kernels"
@@ -393,4 +425,5 @@ EVALUATORS: dict[str, Callable[[Pattern, Tiling, int, NDArray[np.int32]], FieldE
     "kernels": Pattern.kernel_evaluator,
     "waves": Pattern.wave_evaluator,
     "planes": Pattern.plane_evaluator,
+    "textures": Pattern.texture_evaluator,
 }

@@ -212,6 +212,12 @@ def _refuse_many_kernels(job: Job, any_noise: Noise, grid: Grid, painted: Painte
 def _refuse_large_tables(job: Job, noise: Noise, grid: Grid, painted: Painted) -> None:
     """The tables of all painted periods."""
     wave = cast("Wave", noise)
+    if len(wave.table_periods_mm) > 1 and (wave.by_part or not wave.directed):
+        shortest, longest = painted.period_bounds_mm
+        raise JobError(
+            f"pattern.period: from {shortest:.4g} to {longest:.4g} mm, but waves of this spectrum have one period",
+            hint="give one number, or a spectrum that is the same in all directions",
+        )
     if wave.table_bytes > MAX_WAVE_BYTES:
         shortest, longest = painted.period_bounds_mm
         raise JobError(
@@ -233,8 +239,20 @@ def _refuse_graded_cells(job: Job, noise: Noise, grid: Grid, painted: Painted) -
         )
 
 
+def _refuse_graded_textures(job: Job, noise: Noise, grid: Grid, painted: Painted) -> None:
+    """A texture is renewed after one period."""
+    shortest, longest = painted.period_bounds_mm
+    if longest > shortest * (1 + PERIOD_ROUNDING):
+        raise JobError(
+            f"pattern.period: from {shortest:.4g} to {longest:.4g} mm, but {job.spec.pattern.noise} is renewed along z "
+            "after one period",
+            hint="give one number; the texture's size is that of the exemplar's pixels (pattern.exemplar_pixel_mm)",
+        )
+
+
 # By what a noise is made of.
-SIZE_LIMITS = {"kernels": _refuse_many_kernels, "waves": _refuse_large_tables, "planes": _refuse_graded_cells}
+SIZE_LIMITS = {"kernels": _refuse_many_kernels, "waves": _refuse_large_tables, "planes": _refuse_graded_cells,
+               "textures": _refuse_graded_textures}  # fmt: skip
 
 
 def layer_range(run: Run, count: int) -> range:

@@ -13,6 +13,7 @@ from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, field_val
 from amslicer.fields import PLANNED, SOURCES, FieldSpec, source_name
 from amslicer.fields.source import Number
 from amslicer.grid import MM_PER_INCH
+from amslicer.noise import NOISES
 from amslicer.noise.lobes import MOST as MAX_LOBES
 from amslicer.noise.spectra import SHAPES as SPECTRUM_SHAPES
 from amslicer.noise.spectra import SpectrumSpec
@@ -36,10 +37,6 @@ DEFAULT_COLORS = ("#2b6cb0", "#f6ad55", "#38a169", "#e53e3e", "#805ad5", "#d69e2
 
 # Pairs of a printer's keys that say the same thing.
 ALTERNATIVES = (("dpi", "pitch_um"), ("layer_mm", "layer_um"))
-NOISE_NAMES = (
-    "phasor", "gabor", "gabor-isotropic", "phacelle", "phacelle-simple", "wave", "wave-cellular",
-    "wave-polytope", "wave-stit", "wave-by-example", "random-phase", "asymptotic-spot",
-)  # fmt: skip
 REST = "rest"  # of a ratio per material: what the others leave
 FORMAT_NAMES = ("png", "grabcad", "gcvf", "sl1", "tiff", "zarr", "vti", "nrrd", "3mf", "svx")
 
@@ -159,7 +156,7 @@ class Lobe(Model):
 class Pattern(Model):
     """The laminate's noise and profile."""
 
-    noise: Literal[NOISE_NAMES] = Field(default="phasor", description="the random field")  # type: ignore[valid-type]
+    noise: Literal[tuple(NOISES)] = Field(default="phasor", description="the random field")  # type: ignore[valid-type]
     dimensions: Literal[2, 3] = Field(default=3, description="3: solid laminate; 2: the same pattern in every layer")
     period: FieldSpec = Field(default=1.0, description="mm between two sheets of a material, in the printed part")
     bandwidth: Annotated[Number, Field(gt=0, le=2)] = Field(default=0.5, description="relative to 1/period")
@@ -180,6 +177,18 @@ class Pattern(Model):
     )
     depth: Annotated[Whole, Field(ge=0, le=MAX_DEPTH)] | None = Field(
         default=None, description="how often a cell of wave-stit is divided, at most; default 4"
+    )
+    exemplar: str | None = Field(
+        default=None, min_length=1, description="picture to imitate, grey or RGB PNG or TIFF, relative to the job file"
+    )
+    exemplar_pixel_mm: Positive | None = Field(
+        default=None, description="size of its pixels in the part; default: the printer's, along x"
+    )
+    planes: tuple[Literal["xy", "xz", "yz"], ...] = Field(
+        default=("xy",),
+        min_length=1,
+        max_length=3,
+        description="of wave-by-example in 3D: which planes show the picture",
     )
     spectrum: SpectrumSpec = Field(
         default="laminate",

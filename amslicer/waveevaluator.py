@@ -61,7 +61,7 @@ class Tables:
     def __init__(self, device: Device, noise: Wave, paint: Paint) -> None:
         self.noise = noise
         tables = noise.tables
-        self.levels, self.samples = tables.shape
+        self.levels, self.samples = (1 if noise.by_part else len(tables)), tables.shape[1]
         closed = np.concatenate([tables, tables[:, :1]], axis=1).astype(np.complex64)
         self.tables = device.buffer(closed)
         low, high = (float(np.clip(v, 0.0, 1.0)) for v in paint.isotropy_bounds)
@@ -153,6 +153,8 @@ class WaveEvaluator:
     def _all_waves(self) -> Waves:
         first, span = self._corners()
         waves = self._noise.waves(first.min(axis=0), first.max(axis=0) + span)
+        if self._noise.by_part:
+            return waves.take(self._noise.powers[waves.part] > 0)
         if self._painted or not len(waves.offset):
             return waves
         weight = self._weight(waves.direction @ self._normals[0])
@@ -174,6 +176,8 @@ class WaveEvaluator:
         device_waves["table"][:, :3] = waves.direction * steps * per_mm
         device_waves["across"][:, :3] = waves.axis * steps / width
         device_waves["direction"][:, :3] = waves.direction
+        device_waves["table"][:, 3] = waves.part if noise.by_part else 0
+        device_waves["across"][:, 3] = noise.powers[waves.part] if noise.by_part else 1
         reach = np.abs(waves.axis) @ span / 2
         middle = first + span / 2
         near = self._near(waves) if self._painted else None

@@ -7,6 +7,7 @@ mm, angles in rad.
 from __future__ import annotations
 
 import math
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -32,7 +33,8 @@ def wave(
     x: ArrayLike, y: ArrayLike, z: ArrayLike, *, period: Field, bandwidth: float, dimensions: int, seed: int,
     normal: Callable[[Floats], Floats], isotropy: Field = 0.0, directions: int, length_mm: float, samples: int,
     periods: ArrayLike, amplitude: Amplitude, band: tuple[float, float], table: Complexes | None = None,
-    time: float = 0.0, fourth: float = 0.0,
+    time: float = 0.0, fourth: float = 0.0, along: Callable[[Floats, Floats], Floats] | None = None,
+    rise: float | None = None,
 ) -> Complexes:  # fmt: skip
     """G at any points, each wave with the sign that puts it on the normal's side.
 
@@ -47,6 +49,9 @@ def wave(
         periods: of the tables, mm, rising; between two they are mixed in the place of the period among them.
         amplitude, band: A over frequencies in 1/period, and the lowest and highest of them.
         table: a waveform instead, read in all directions alike.
+        along: A over (3,) directions and frequencies instead: a table for the middle of each part, and no lobe. The
+            mean of their powers is 1.
+        rise: exponent of the frequency beside A; default: (dimensions - 1)/2.
         time, fourth: how far waves have moved, in the shortest period.
     """
     shape = np.broadcast_shapes(np.shape(x), np.shape(y), np.shape(z))
@@ -54,14 +59,25 @@ def wave(
     if dimensions == 2:
         places[:, 2] = 0.0
     rows = np.asarray(periods, float)
-    tables = [table] if table is not None else [
-        _table(p, length_mm, samples, amplitude, band, dimensions, seed) for p in rows
-    ]  # fmt: skip
+    rise = (dimensions - 1) / 2 if rise is None else rise
+    powers = np.ones(directions)
+    tables = [] if table is None else [table]
+    if table is None and along is None:
+        tables = [_table(p, length_mm, samples, amplitude, band, rise, seed)[0] for p in rows]
     row = np.zeros(len(places))
     if len(rows) > 1:
         row = np.interp(_at(period, places), rows, np.arange(len(rows)))
     n = normal(places)
-    weight_at = _weights(isotropy, places, bandwidth, dimensions) if table is None else _alike
+    weight_at = _weights(isotropy, places, bandwidth, dimensions) if table is None and along is None else _alike
+    if along is not None:
+        middles = [_direction(k, 0.5, 0.5, directions, dimensions) for k in range(directions)]
+        each = [
+            _table(rows[0], length_mm, samples, partial(along, omega), band, rise, seed, unit=False)
+            for omega in middles
+        ]
+        mean = sum(power for _, power in each) / directions
+        powers = np.array([power / mean for _, power in each])
+        of_part = [values / math.sqrt(mean) for values, _ in each]
     thickness = length_mm / 2.4
     total: Complexes = np.zeros(len(places), np.complex128)
     power = np.zeros(len(places))
@@ -82,9 +98,9 @@ def wave(
             weight = weight_at(np.abs(cosine), here) * inside[here]
             moved = forth * time + (2 * _share(part, number, SPEED, seed)[0] - 1) * fourth
             at = (places[here] @ omega / length_mm + words[2] - moved * rows[0] / length_mm) % 1.0
-            value = _read(tables, row[here], at)
+            value = _read(tables if along is None else [of_part[part]], row[here], at)
             total[here] += weight * np.where(cosine < 0, value.conj(), value)
-            power[here] += weight**2
+            power[here] += weight**2 * powers[part]
     return np.asarray(total / np.sqrt(np.where(power > 0, power, 1.0))).reshape(shape)
 
 
@@ -134,19 +150,19 @@ def _cut(part: int, directions: int, dimensions: int, seed: int) -> tuple[Floats
 
 
 def _table(
-    period: float, length_mm: float, samples: int, amplitude: Amplitude, band: tuple[float, float], dimensions: int,
-    seed: int,
-) -> Complexes:  # fmt: skip
-    """T of mean power 1, harmonic by harmonic: A(f) f^((n-1)/2) exp(i(2π l j/Nx + φ_l)), f = l p/L."""
+    period: float, length_mm: float, samples: int, amplitude: Amplitude, band: tuple[float, float], rise: float,
+    seed: int, *, unit: bool = True,
+) -> tuple[Complexes, float]:  # fmt: skip
+    """T, of mean power 1 if unit: Σ A(f) f^rise exp(i(2π l j/Nx + φ_l)), f = l p/L; and the power of the sum."""
     out, power = np.zeros(samples, complex), 0.0
     j = np.arange(samples)
     for order in range(max(1, math.ceil(band[0] * length_mm / period)), int(band[1] * length_mm / period) + 1):
         f = order * period / length_mm
-        a = float(amplitude(np.array([f]))[0]) * f ** ((dimensions - 1) / 2)
+        a = float(amplitude(np.array([f]))[0]) * f**rise
         phase = 2 * math.pi * _share(order, 0, PHASE, seed)[0]
         out += a * np.exp(1j * (2 * math.pi * (order * j % samples) / samples + phase))
         power += a * a
-    return np.asarray(out / math.sqrt(power))
+    return np.asarray(out / math.sqrt(power) if unit else out), power
 
 
 def _read(tables: list[Complexes], row: Floats, at: Floats) -> Complexes:

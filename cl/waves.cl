@@ -8,8 +8,8 @@
 #define to_intV CAT(convert_int, VECTOR)
 #define to_floatV CAT(convert_float, VECTOR)
 
-// A slice of a wave: steps from node to node along x, y, z (w: unused) of its table's place, in samples, and of the place
-// across the slice, in units of the width over which slices are blended; its direction (w: unused).
+// A slice of a wave: steps from node to node along x, y, z of its table's place, in samples (w: number of its table), and of the
+// place across the slice, in units of the width over which slices are blended (w: its mean power); its direction (w: unused).
 typedef struct {
     float4 table;
     float4 across;
@@ -82,6 +82,7 @@ kernel void waves(global float *restrict field, global const uchar *restrict nee
     for (uint e = starts[tile_index]; e < starts[tile_index + 1]; ++e) {
         const Entry entry = entries[e];
         const Wave wave = waves_of[entry.wave];
+        global const float2 *table = tables + (size_t)wave.table.w * (SAMPLES + 1);
         const float sign = entry.opposite ? -1.0f : 1.0f;
         for (int row = 0; row < TILE; ++row) {
             if (!(wanted >> (row / ROWS) & 1u)) continue;
@@ -126,10 +127,10 @@ kernel void waves(global float *restrict field, global const uchar *restrict nee
                     const int s = ((const int *)&sample)[i];
 #if LEVELS > 1
                     const float m = ((const float *)&mix)[i];
-                    global const float2 *low = tables + (size_t)((const int *)&lower)[i] * (SAMPLES + 1) + s;
+                    global const float2 *low = table + (size_t)((const int *)&lower)[i] * (SAMPLES + 1) + s;
                     const float2 a = mix_of(low[0], low[SAMPLES + 1], m), b = mix_of(low[1], low[SAMPLES + 2], m);
 #else
-                    const float2 a = tables[s], b = tables[s + 1];
+                    const float2 a = table[s], b = table[s + 1];
 #endif
                     ((float *)&re)[i] = a.x;
                     ((float *)&im)[i] = a.y;
@@ -138,7 +139,7 @@ kernel void waves(global float *restrict field, global const uchar *restrict nee
                 }
                 sum[row][0][v] = fma(weight, fma(share, re_next - re, re), sum[row][0][v]);
                 sum[row][1][v] = fma(weight * turn, fma(share, im_next - im, im), sum[row][1][v]);
-                power[row][v] = fma(weight, weight, power[row][v]);
+                power[row][v] = fma(weight * wave.across.w, weight, power[row][v]);
             }
         }
     }

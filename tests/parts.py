@@ -17,6 +17,7 @@ from scipy import ndimage
 import amslicer
 from amslicer import Job
 from amslicer.noise import NOISES, Noise
+from amslicer.noise.setting import Setting
 from amslicer.specification import Pattern
 
 Floats = NDArray[np.float64]
@@ -64,6 +65,8 @@ def job(
         "pattern": {"dimensions": 2, **pattern},
         "fields": {"ratio": ratio, "orientation": orientation, "isotropy": isotropy},
     }
+    if "exemplar" in NOISES[pattern.get("noise", "phasor")].keys and "exemplar" not in pattern:
+        content["pattern"] |= {"exemplar": paint(part.parent, picture(grain())[::-1], "grain.png"), **EXEMPLAR}
     file = part.with_suffix(".yaml")
     file.write_text(json.dumps(content), encoding="utf-8")  # JSON is YAML
     return amslicer.load_job(file, part=part)
@@ -74,10 +77,24 @@ def labels(job: Job, first: int = 0, end: int | None = None) -> NDArray[np.uint8
     return np.stack([layer.labels for layer in amslicer.layers(job, amslicer.Run(layers=(first, end)))])
 
 
+def grain(side: int = 64, seed: int = 7) -> Floats:
+    """A periodic grain, about 6 pixels coarse and twice as long along y."""
+    white = np.random.default_rng(seed).normal(size=(side, side))
+    return ndimage.gaussian_filter(white, (4.0, 2.0), mode="wrap")
+
+
+def picture(values: Floats) -> NDArray[np.uint8]:
+    """Grey levels of values, the lowest black and the highest white; row 0 as it is."""
+    return np.rint(255 * (values - values.min()) / np.ptp(values)).astype(np.uint8)
+
+
+EXEMPLAR = {"exemplar_pixel_mm": 0.05}
+
+
 def noise(name: str, bandwidth: float = 0.5, dimensions: int = 2, **pattern: Any) -> Noise:
     """A noise of 1 mm periods."""
     asked = {"noise": name, "bandwidth": bandwidth, "dimensions": dimensions, **pattern}
-    return NOISES[name].of_pattern(Pattern.model_validate(asked), (1.0, 1.0), None)
+    return NOISES[name].of_pattern(Pattern.model_validate(asked), Setting((1.0, 1.0), exemplar=grain(), pixel_mm=0.05))
 
 
 def bitmap(job: Job) -> NDArray[np.uint8]:

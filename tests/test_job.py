@@ -88,6 +88,7 @@ def test_materials_and_ratio_are_enough() -> None:
             "bandwidth": 0.5,
             "alignment": 0,
             "lobes": [],
+            "planes": ["xy"],
             "spectrum": "laminate",
             "time": 0.0,
             "fourth": 0.0,
@@ -336,8 +337,6 @@ def test_refused_with_its_key(key: str, value: Any, said: str) -> None:
 @pytest.mark.parametrize(
     ("key", "value"),
     [
-        ("pattern.noise", "random-phase"),
-        ("pattern.noise", "asymptotic-spot"),
         ("fields.ratio", {"volume": "ratio.npy"}),
         ("fields.ratio", {"vertex": "name"}),
         ("fields.ratio", {"distance": {"from": 0.2, "to": 0.8, "depth": 2.0}}),

@@ -28,9 +28,12 @@ def test_the_field_is_the_twins(tmp_path: Path, noise: str, dimensions: int, ban
     job = make(tmp_path, (4, 3, 1), noise, dimensions, seed=5, bandwidth=bandwidth, period=0.9)
     grid, layer = prepare(job).grid, 6
     got = amslicer.field(job, layer)
+    given = {}
+    if "exemplar" in NOISES[noise].keys:
+        given = {"exemplar": parts.picture(parts.grain()) / 255, **parts.EXEMPLAR}
     expected = amslicer.noise.sample(
         noise, grid.x_mm()[None, :], grid.y_mm()[::-1, None], grid.z_mm(layer), period=0.9, orientation=23, seed=5,
-        bandwidth=bandwidth, dimensions=dimensions,
+        bandwidth=bandwidth, dimensions=dimensions, **given,
     )  # fmt: skip
     assert got.shape == expected.shape
     # The device interpolates envelopes from tables.
@@ -42,7 +45,11 @@ def test_the_field_is_the_twins(tmp_path: Path, noise: str, dimensions: int, ban
 @pytest.mark.parametrize("dimensions", [2, 3])
 def test_ratio(tmp_path: Path, noise: str, dimensions: int, ratio: float) -> None:
     size = (100, 100, 0.1) if dimensions == 2 else (24, 24, 6)
-    labels = parts.labels(make(tmp_path, size, noise, dimensions, ratio=ratio))
+    settings: dict[str, Any] = {}
+    if noise.startswith("wave-") and noise != "wave-by-example":  # of cells, shares of small parts scatter
+        size = (400, 400, 0.25) if dimensions == 2 else (110, 110, 60)
+        settings = {"printer": {"pitch_um": 250, "layer_um": 250}}
+    labels = parts.labels(make(tmp_path, size, noise, dimensions, ratio=ratio, **settings))
     share = float(np.mean(labels[labels > 0] == 1))
     print(f"{noise} in {dimensions}D: {share:.4f} of {ratio}")
     assert share == pytest.approx(ratio, abs=0.01)

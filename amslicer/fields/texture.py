@@ -10,7 +10,6 @@ between their centres it is bilinear. It is the same at all heights along the pl
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Hashable, Iterator, Mapping
 from dataclasses import dataclass, field
@@ -23,7 +22,7 @@ from pydantic import Field
 from amslicer.errors import JobError
 from amslicer.fields.image import PLANES
 from amslicer.fields.source import Frame, Inputs, Number, Sampler, Source
-from amslicer.randomphase import Frames, Kind, extended_spot, neighbours, sample_bilinear
+from amslicer.randomphase import MOST_PX, STEPS, Frames, Kind, extended_spot, good_side, neighbours, sample_bilinear
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -31,11 +30,6 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
 
 CLIP = 3.0  # standard deviations: 0.3 % of a Gaussian lie beyond
-# 3·11³, the largest odd product of small primes below 4096 pixels: of 128 MiB, made in a second or two. A part that is
-# larger sees the texture again.
-MOST_PX = 3993
-FACTORS = (3, 5, 7, 11)  # sides that are products of these have fast Fourier transforms
-STEPS = 16  # textures per renewal, straight in between: half way the spread is 0.2 % too low
 KEPT_BYTES = 256 << 20  # of textures at several heights
 SHORTEST_MM = 1e-3  # shorter sizes are mistakes
 
@@ -75,7 +69,7 @@ class TextureSource(Source):
         pixel_mm = self.size_mm / p.shape[1]
         axes = PLANES[self.plane]
         columns, rows = (
-            _odd_side(max(own, min(math.ceil(float(frame.size_mm[axis]) / pixel_mm), MOST_PX)))
+            good_side(max(own, min(math.ceil(float(frame.size_mm[axis]) / pixel_mm), MOST_PX)))
             for own, axis in zip(p.shape[::-1], axes, strict=True)
         )
         frames = Frames(extended_spot(p, (rows, columns)), self.kind, self.seed)
@@ -190,15 +184,3 @@ def _by_step(height: Floats) -> Iterator[NDArray[np.bool_]]:
     steps = np.floor(height)
     for step in np.unique(steps):
         yield steps == step
-
-
-def _odd_side(least: int) -> int:
-    """The smallest product of FACTORS from there on."""
-    return next(n for n in itertools.count(least | 1, 2) if _is_product(n))
-
-
-def _is_product(n: int) -> bool:
-    for factor in FACTORS:
-        while n % factor == 0:
-            n //= factor
-    return n == 1

@@ -8,18 +8,22 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, Protocol
 
 from amslicer.noise.cellular import Cellular, Polytope, Stit
+from amslicer.noise.example import WaveByExample
 from amslicer.noise.gabor import Gabor, IsotropicGabor
 from amslicer.noise.gaborkernel import GaborKernel, gabor_noise, varying_gabor_noise
 from amslicer.noise.kernels import KernelNoise, Kernels, Noise
 from amslicer.noise.phacelle import Phacelle, SimplePhacelle
 from amslicer.noise.phasor import Phasor
+from amslicer.noise.textures import AsymptoticSpot, RandomPhase
 from amslicer.noise.waves import Wave
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     import numpy as np
     from numpy.typing import ArrayLike, NDArray
 
-    from amslicer.noise.lobes import Lobes
+    from amslicer.noise.setting import Setting
     from amslicer.reference import Lobes as RelativeLobes
     from amslicer.reference import Scalar
     from amslicer.specification import Pattern
@@ -39,12 +43,8 @@ class Maker(Protocol):
     @property
     def keys(self) -> frozenset[str]: ...
 
-    def of_pattern(self, pattern: Pattern, periods_mm: tuple[float, float], lobes: Lobes | None) -> Noise:
-        """The noise that a job's pattern asks for.
-
-        Args:
-            periods_mm: the shortest and the longest painted period.
-        """
+    def of_pattern(self, pattern: Pattern, setting: Setting) -> Noise:
+        """The noise that a job's pattern asks for."""
 
     def read_by(self, pattern: Pattern) -> str:
         """As of Noise.reads, of a job's pattern."""
@@ -63,6 +63,9 @@ NOISES: dict[str, Maker] = {
     "wave-cellular": Cellular,
     "wave-polytope": Polytope,
     "wave-stit": Stit,
+    "wave-by-example": WaveByExample,
+    "random-phase": RandomPhase,
+    "asymptotic-spot": AsymptoticSpot,
 }
 
 __all__ = ["NOISES", "GaborKernel", "KernelNoise", "Kernels", "Noise", "gabor_noise", "sample", "varying_gabor_noise"]
@@ -73,7 +76,8 @@ def sample(
     orientation: Scalar = 0.0, elevation: Scalar = 0.0, isotropy: Scalar = 0.0, seed: int = 1,
     dimensions: int | None = None, impulses: float | None = None, lobes: RelativeLobes = (),
     directions: int | None = None, spectrum: Any = None, time: float | None = None, fourth: float | None = None,
-    probability: float | None = None, depth: int | None = None,
+    probability: float | None = None, depth: int | None = None, exemplar: ArrayLike | None = None,
+    exemplar_pixel_mm: float | None = None, planes: Sequence[str] | None = None,
 ) -> NDArray[np.complex128]:  # fmt: skip
     """A noise's complex field G at any points, in plain float64: no part, no file, no device.
 
@@ -97,7 +101,9 @@ def sample(
         impulses: Λ, kernels per B^dimensions; default: the noise's. Not of phacelle, nor of waves.
         lobes: several directions at a place, as (degrees about z from the painted normal, weight); at most 8.
         directions, spectrum, time, fourth: of wave; directions, probability, depth: of wave-cellular, wave-polytope,
-            wave-stit; as in the job file's pattern.
+            wave-stit; exemplar_pixel_mm (default 1): of wave-by-example, random-phase, asymptotic-spot; planes: of
+            wave-by-example; as in the job file's pattern.
+        exemplar: (rows, columns) values of the picture that these imitate, row 0 lowest.
 
     Returns:
         complex128, in the coordinates' common shape.
@@ -109,7 +115,8 @@ def sample(
 
     of_noise = {
         "impulses": impulses, "lobes": lobes, "directions": directions, "spectrum": spectrum, "time": time,
-        "fourth": fourth, "probability": probability, "depth": depth,
+        "fourth": fourth, "probability": probability, "depth": depth, "exemplar": exemplar,
+        "exemplar_pixel_mm": exemplar_pixel_mm, "planes": planes,
     }  # fmt: skip
     return sampled(
         name, x, y, z, period=period, bandwidth=bandwidth, orientation=orientation, elevation=elevation,

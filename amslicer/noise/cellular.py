@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from amslicer.noise.lobes import Lobes
+    from amslicer.noise.setting import Setting
     from amslicer.specification import Pattern
 
     Floats = NDArray[np.float64]
@@ -34,10 +34,10 @@ class Cellular(Hyperplanes):
     ALIKE: ClassVar[float] = 2.0
 
     @classmethod
-    def of_pattern(cls, pattern: Pattern, periods_mm: tuple[float, float], lobes: Lobes | None) -> Self:
+    def of_pattern(cls, pattern: Pattern, setting: Setting) -> Self:
         """The noise that a job's pattern asks for."""
         return cls(
-            kind=cls.KIND, period_mm=periods_mm[0], dimensions=pattern.dimensions, seed=pattern.seed,
+            kind=cls.KIND, period_mm=setting.periods_mm[0], dimensions=pattern.dimensions, seed=pattern.seed,
             directions=pattern.directions or DIRECTIONS,
             probability=PROBABILITY if pattern.probability is None else pattern.probability,
             depth=DEPTH if pattern.depth is None else pattern.depth,

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 
     from amslicer.noise.kernels import CellLayer, Generator, Paint
     from amslicer.noise.lobes import Lobes
+    from amslicer.noise.setting import Setting
     from amslicer.specification import Pattern
 
     Floats = NDArray[np.float64]
@@ -65,12 +66,12 @@ class Phasor:
     keys: ClassVar[frozenset[str]] = frozenset({"impulses", "lobes", "alignment"})
 
     @classmethod
-    def of_pattern(cls, pattern: Pattern, periods_mm: tuple[float, float], lobes: Lobes | None) -> Self:
+    def of_pattern(cls, pattern: Pattern, setting: Setting) -> Self:
         """The noise that a job's pattern asks for."""
         given = {} if pattern.impulses is None else {"impulses": pattern.impulses}
         return cls(
-            periods_mm=periods_mm, bandwidth=pattern.bandwidth, dimensions=pattern.dimensions, seed=pattern.seed,
-            lobes=lobes, **given,
+            periods_mm=setting.periods_mm, bandwidth=pattern.bandwidth, dimensions=pattern.dimensions,
+            seed=pattern.seed, lobes=setting.lobes, **given,
         )  # fmt: skip
 
     @classmethod

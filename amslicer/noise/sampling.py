@@ -5,22 +5,27 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from numbers import Integral, Real
-from typing import TYPE_CHECKING, Any, TypeGuard
+from typing import TYPE_CHECKING, Any, TypeGuard, cast
 
 import numpy as np
 
 from amslicer import planereference, reference, wavereference
 from amslicer.errors import UsageError
+from amslicer.exemplar import MIN_SIDE, periodic_component
 from amslicer.noise import NOISES
+from amslicer.noise.example import WaveByExample
 from amslicer.noise.gabor import Gabor, IsotropicGabor
 from amslicer.noise.hyperplanes import DEPTH, PROBABILITY
 from amslicer.noise.hyperplanes import DIRECTIONS as FAMILIES
 from amslicer.noise.lobes import MOST as MAX_LOBES
 from amslicer.noise.phacelle import Phacelle, SimplePhacelle
 from amslicer.noise.phasor import Phasor
-from amslicer.noise.spectra import Spectrum, SpectrumSpec, Waveform, describe_spectra, make_spectrum
+from amslicer.noise.setting import Setting
+from amslicer.noise.spectra import Directional, Spectrum, SpectrumSpec, Waveform, describe_spectra, make_spectrum
+from amslicer.noise.textures import AsymptoticSpot, RandomPhase
 from amslicer.noise.waves import Wave
-from amslicer.specification import MAX_DEPTH, MAX_DIRECTIONS, MAX_SEED, MIN_DIRECTIONS
+from amslicer.randomphase import sample_bilinear
+from amslicer.specification import MAX_DEPTH, MAX_DIRECTIONS, MAX_SEED, MIN_DIRECTIONS, Pattern
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
@@ -153,14 +158,68 @@ def _wave(asked: Asked) -> Complexes:
         asked.bounds, asked.bandwidth, asked.dimensions, asked.seed, asked.of("directions", 0), spectrum,
         time=asked.of("time", 0.0), fourth=asked.of("fourth", 0.0),
     )  # fmt: skip
+    return sampled_wave(wave, asked)
+
+
+def sampled_wave(wave: Wave, asked: Asked) -> Complexes:
+    """The reference's definition of a wave noise."""
+    spectrum, b = wave.spectrum, wave.bandwidth
     form = isinstance(spectrum, Waveform)
     return wavereference.wave(
-        *asked.at, period=asked.of_place, bandwidth=wave.bandwidth, dimensions=wave.dimensions, seed=wave.seed,
-        normal=asked.normal, isotropy=asked.isotropy, directions=wave.directions, length_mm=wave.length_mm,
-        samples=wave.samples, periods=wave.table_periods_mm, time=wave.time, fourth=wave.fourth,
-        table=wave.tables[0] if form else None,
-        amplitude=np.ones_like if isinstance(spectrum, Waveform) else lambda f: spectrum.amplitude(f, wave.bandwidth),
-        band=(0.0, 0.0) if isinstance(spectrum, Waveform) else spectrum.band(wave.bandwidth),
+        *asked.at, period=asked.of_place, bandwidth=b, dimensions=wave.dimensions, seed=wave.seed, normal=asked.normal,
+        isotropy=asked.isotropy, directions=wave.directions, length_mm=wave.length_mm, samples=wave.samples,
+        periods=wave.table_periods_mm, time=wave.time, fourth=wave.fourth, table=wave.tables[0] if form else None,
+        amplitude=lambda f: cast("Spectrum", spectrum).amplitude(f, b),
+        band=(0.0, 0.0) if form else cast("Spectrum", spectrum).band(b),
+        along=(lambda d, f: cast("Directional", spectrum).amplitude_along(d, f, b)) if wave.by_part else None,
+        rise=(getattr(spectrum, "dimensions", wave.dimensions) - 1) / 2,
+    )  # fmt: skip
+
+
+def _by_example(asked: Asked) -> Complexes:
+    pattern = _pattern(asked, directions=asked.of("directions", None), planes=tuple(asked.of("planes", ("xy",))))
+    pattern = pattern.model_copy(update={"time": asked.of("time", 0.0), "fourth": asked.of("fourth", 0.0)})
+    return sampled_wave(WaveByExample.of_pattern(pattern, _setting(asked)), asked)
+
+
+def _texture(asked: Asked) -> Complexes:
+    """Of the size that the points' box from 0 on asks for, as of a part."""
+    kind = {"random-phase": RandomPhase, "asymptotic-spot": AsymptoticSpot}[asked.name]
+    noise = kind.of_pattern(_pattern(asked), _setting(asked))
+    x, y, z = (np.asarray(c, np.float64) for c in np.broadcast_arrays(*asked.at))
+    values = np.empty(z.shape)
+    for height in np.unique(z) if asked.dimensions == 3 else (0.0,):
+        here = (z == height) | (asked.dimensions == 2)
+        step, share = noise.place(float(height))
+        low, high = (
+            sample_bilinear(
+                noise.texture(step + up).astype(np.float64), x[here] / noise.pixel_mm, y[here] / noise.pixel_mm
+            )
+            for up in ((0, 1) if share else (0, 0))
+        )
+        values[here] = low + share * (high - low)
+    return values.astype(np.complex128)
+
+
+def _pattern(asked: Asked, **keys: Any) -> Pattern:
+    given = {"bandwidth": asked.bandwidth, "dimensions": asked.dimensions, "seed": asked.seed, **keys}
+    return Pattern.model_validate({"noise": asked.name, **{k: v for k, v in given.items() if v is not None}})
+
+
+def _setting(asked: Asked) -> Setting:
+    """Raises UsageError where there is no exemplar that can be imitated."""
+    picture = asked.of("exemplar", None)
+    if picture is None:
+        raise UsageError(f"{asked.name} imitates a picture, and exemplar is None", hint="give an array of its values")
+    picture = np.asarray(picture, np.float64)
+    wrong = picture.ndim != 2 or min(picture.shape) < MIN_SIDE or not np.isfinite(picture).all()
+    if wrong or (picture == picture.flat[0]).all():
+        said = f"exemplar has the shape {picture.shape}; it is (rows, columns) of {MIN_SIDE} or more, and not constant"
+        raise UsageError(said, hint="row 0 is the lowest; of colours give the brightness")
+    size = [float(np.max(c, initial=0.0)) for c in asked.at[:2]]
+    return Setting(
+        asked.bounds if asked.name == "wave-by-example" else (asked.one_period,) * 2, size_mm=(size[0], size[1]),
+        exemplar=periodic_component(picture), pixel_mm=asked.of("exemplar_pixel_mm", 1.0),
     )  # fmt: skip
 
 
@@ -176,6 +235,7 @@ def _cells(asked: Asked) -> Complexes:
 SAMPLERS: dict[str, Callable[[Asked], Complexes]] = {
     "phasor": _phasor, "gabor": _phasor, "gabor-isotropic": _isotropic_gabor, "phacelle": _phacelle,
     "phacelle-simple": _phacelle, "wave": _wave, "wave-cellular": _cells, "wave-polytope": _cells, "wave-stit": _cells,
+    "wave-by-example": _by_example, "random-phase": _texture, "asymptotic-spot": _texture,
 }  # fmt: skip
 
 
@@ -208,11 +268,12 @@ NUMBERS: dict[str, tuple[Callable[[Any], bool], str]] = {
     "time": (lambda v: bool(np.isfinite(v)), "a number of periods"),
     "fourth": (lambda v: bool(np.isfinite(v)), "a number of periods"),
     "probability": (lambda v: 0 <= v <= 1, "between 0 and 1"),
+    "exemplar_pixel_mm": (lambda v: 0 < v < np.inf, "greater than 0 mm"),
     "depth": (lambda v: _is_whole(v, 0, MAX_DEPTH), f"a whole number from 0 to {MAX_DEPTH}"),
 }
 
 
-def _spectrum(spec: object) -> Spectrum | Waveform:
+def _spectrum(spec: object) -> Spectrum | Directional | Waveform:
     """A spectrum as the job file writes it.
 
     Raises:

@@ -9,7 +9,7 @@ as pictures of spectra show it: white is as strong everywhere, whatever the dire
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Any, Protocol
+from typing import TYPE_CHECKING, Annotated, Any, Protocol, Union
 
 import numpy as np
 from pydantic import AfterValidator, BaseModel, ConfigDict, Discriminator, Field, Tag, model_validator
@@ -54,6 +54,20 @@ class Laminate:
     def amplitude(self, frequency: Floats, bandwidth: float) -> Floats:
         """exp(-π (f - 1)²/B²)."""
         return np.asarray(np.exp(-np.pi * ((frequency - 1) / bandwidth) ** 2))
+
+
+class Directional(Protocol):
+    """Amplitudes that depend on the direction, in printer axes: neither the painted direction nor isotropy count."""
+
+    def band(self, bandwidth: float) -> tuple[float, float]:
+        """As of Spectrum."""
+
+    def amplitude_along(self, direction: Floats, frequency: Floats, bandwidth: float) -> Floats:
+        """A(f) of waves that travel along a (3,) unit vector, or against it."""
+
+    @property
+    def length_periods(self) -> float | None:
+        """Of a table, where it is not what the band asks for."""
 
 
 class Shape(BaseModel):
@@ -161,45 +175,139 @@ SPECTRA: dict[str, Spectrum | Waveform] = {
     "crystal": Waveform(steps=True),
     "web": Waveform(steps=False),
 }
-SHAPES: dict[str, type[Shape]] = {"power": Power, "gaussian": GaussianShape, "table": TableShape}
+BASIC: dict[str, type[Shape]] = {"power": Power, "gaussian": GaussianShape, "table": TableShape}
 
 
 def describe_spectra() -> str:
     """What a spectrum can be, for messages."""
-    return ", ".join([*SPECTRA, *(f"{{{name}: …}}" for name in SHAPES)])
+    return ", ".join([*SPECTRA, *(f"{{{name}: …}}" for name in _shapes())])
 
 
 def _kind(value: Any) -> str | None:
     if isinstance(value, str):
         return "name"
     if isinstance(value, Shape):
-        return next(name for name, kind in SHAPES.items() if isinstance(value, kind))
+        return next(name for name, kind in _shapes().items() if isinstance(value, kind))
     if isinstance(value, dict):
-        named = [name for name in SHAPES if name in value]
+        named = [name for name in _shapes() if name in value]
         return named[0] if len(named) == 1 else None
     return None
 
 
 def _known(name: str) -> str:
     if name not in SPECTRA:
-        raise PydanticCustomError("spectrum", "is not a spectrum: {spectra}", {"spectra": describe_spectra()})
+        raise PydanticCustomError("spectrum", "is not a spectrum; one is {spectra}", {"spectra": describe_spectra()})
     return name
 
 
+def _shapes() -> dict[str, type[Shape]]:
+    return SHAPES
+
+
+SAID = "is not a spectrum; there are laminate, white, blue, brown, {power: …}, {gaussian: …} and {table: …}"
 if TYPE_CHECKING:
-    SpectrumSpec: TypeAlias = str | Power | GaussianShape | TableShape
+    BasicSpec: TypeAlias = str | Power | GaussianShape | TableShape
+else:
+    _Name = Annotated[str, AfterValidator(_known), Field(json_schema_extra={"enum": list(SPECTRA)}), Tag("name")]
+    _Basic = [Annotated[kind, Tag(name)] for name, kind in BASIC.items()]
+    BasicSpec = Annotated[
+        Union[(_Name, *_Basic)],
+        Discriminator(_kind, custom_error_type="spectrum", custom_error_message=SAID),
+    ]
+
+
+def make_basic(spec: BasicSpec) -> Spectrum | Waveform:
+    """The spectrum of a specification that depends on no direction."""
+    return SPECTRA[spec] if isinstance(spec, str) else spec
+
+
+def _spectrum_of(spec: BasicSpec) -> Spectrum:
+    found = make_basic(spec)
+    assert not isinstance(found, Waveform)
+    return found
+
+
+class DirectionalShape(Shape):
+    """Base of the spectra that depend on the direction."""
+
+    @property
+    def length_periods(self) -> float | None:
+        """As the band asks for."""
+        return None
+
+
+class SectorsShape(DirectionalShape):
+    """One spectrum in some directions, nothing in the others (section 4.3, Fig. 5 right)."""
+
+    sectors: tuple[tuple[Number, Number], ...] = Field(
+        min_length=1,
+        max_length=64,
+        description="[from, to] of azimuths in degrees, from +x towards +y; as lines, by 180",
+    )
+    of: BasicSpec = Field(default="white", description="the spectrum in them")
+    elevation: tuple[Number, Number] = Field(default=(0.0, 90.0), description="in space: above or below the xy plane")
+
+    @model_validator(mode="after")
+    def _usable(self) -> SectorsShape:
+        for low, high in (*self.sectors, self.elevation):
+            if not low < high:
+                raise ValueError(f"has a sector from {low:g} to {high:g}; the first is below the second")
+        if isinstance(make_basic(self.of), Waveform):
+            raise ValueError(f"is of {self.of}, which is no spectrum but a wave")
+        return self
+
+    def band(self, bandwidth: float) -> tuple[float, float]:
+        """That of the spectrum."""
+        return _spectrum_of(self.of).band(bandwidth)
+
+    def amplitude_along(self, direction: Floats, frequency: Floats, bandwidth: float) -> Floats:
+        """The spectrum's, or 0."""
+        azimuth = np.rad2deg(np.arctan2(direction[1], direction[0]))
+        rise = abs(np.rad2deg(np.arcsin(np.clip(direction[2], -1, 1))))
+        inside = any((azimuth - low) % 180 <= high - low for low, high in self.sectors)
+        inside &= self.elevation[0] <= rise <= self.elevation[1]
+        return np.asarray(_spectrum_of(self.of).amplitude(frequency, bandwidth) * inside)
+
+
+class AlongShape(DirectionalShape):
+    """A spectrum for each axis, mixed by how much a direction lies along it (section 4.3, Fig. 5 left)."""
+
+    along: tuple[BasicSpec, BasicSpec, BasicSpec] = Field(description="spectra of waves along x, y and z")
+
+    @model_validator(mode="after")
+    def _usable(self) -> AlongShape:
+        for spec in self.along:
+            if isinstance(make_basic(spec), Waveform):
+                raise ValueError(f"has {spec}, which is no spectrum but a wave")
+        return self
+
+    def band(self, bandwidth: float) -> tuple[float, float]:
+        """The widest."""
+        bands = [_spectrum_of(spec).band(bandwidth) for spec in self.along]
+        return min(low for low, _ in bands), max(high for _, high in bands)
+
+    def amplitude_along(self, direction: Floats, frequency: Floats, bandwidth: float) -> Floats:
+        """Σ |ω_i| A_i(f): phases are the same, so amplitudes add."""
+        parts = [
+            abs(c) * _spectrum_of(spec).amplitude(frequency, bandwidth)
+            for c, spec in zip(direction, self.along, strict=True)
+        ]
+        return np.asarray(np.sum(parts, axis=0))
+
+
+SHAPES: dict[str, type[Shape]] = {**BASIC, "sectors": SectorsShape, "along": AlongShape}
+
+if TYPE_CHECKING:
+    SpectrumSpec: TypeAlias = BasicSpec | SectorsShape | AlongShape
 else:
     SpectrumSpec = Annotated[
-        Annotated[str, AfterValidator(_known), Field(json_schema_extra={"enum": list(SPECTRA)}), Tag("name")]
-        | Annotated[Power, Tag("power")]
-        | Annotated[GaussianShape, Tag("gaussian")]
-        | Annotated[TableShape, Tag("table")],
+        Union[(_Name, *(Annotated[kind, Tag(name)] for name, kind in SHAPES.items()))],
         Discriminator(
-            _kind, custom_error_type="spectrum", custom_error_message=f"is not a spectrum: {describe_spectra()}"
+            _kind, custom_error_type="spectrum", custom_error_message=f"is not a spectrum; one is {describe_spectra()}"
         ),
     ]
 
 
-def make_spectrum(spec: SpectrumSpec) -> Spectrum | Waveform:
+def make_spectrum(spec: SpectrumSpec) -> Spectrum | Directional | Waveform:
     """The spectrum of a job's specification."""
     return SPECTRA[spec] if isinstance(spec, str) else spec

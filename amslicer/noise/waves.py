@@ -23,21 +23,30 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
 from math import ceil, log, log2, pi, radians, sin, sqrt
-from typing import TYPE_CHECKING, Any, ClassVar, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Self, cast
 
 import numpy as np
 
 from amslicer.noise import philox
 from amslicer.noise.bands import Band, TabledBand
 from amslicer.noise.kernels import WORD
-from amslicer.noise.spectra import IMPULSE_WIDTH, IMPULSES, STEPS, Laminate, Spectrum, Waveform, make_spectrum
+from amslicer.noise.spectra import (
+    IMPULSE_WIDTH,
+    IMPULSES,
+    STEPS,
+    Directional,
+    Laminate,
+    Spectrum,
+    Waveform,
+    make_spectrum,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from numpy.typing import NDArray
 
-    from amslicer.noise.lobes import Lobes
+    from amslicer.noise.setting import Setting
     from amslicer.specification import Pattern
 
     Floats = NDArray[np.float64]
@@ -111,7 +120,7 @@ class Wave:
     dimensions: int
     seed: int
     directions: int = 0
-    spectrum: Spectrum | Waveform = field(default_factory=Laminate)
+    spectrum: Spectrum | Directional | Waveform = field(default_factory=Laminate)
     reads: str = "phase"
     time: float = 0.0
     fourth: float = 0.0
@@ -120,12 +129,13 @@ class Wave:
     keys: ClassVar[frozenset[str]] = frozenset({"directions", "spectrum", "reads", "time", "fourth"})
 
     @classmethod
-    def of_pattern(cls, pattern: Pattern, periods_mm: tuple[float, float], lobes: Lobes | None) -> Self:
+    def of_pattern(cls, pattern: Pattern, setting: Setting) -> Self:
         """The noise that a job's pattern asks for."""
         return cls(
-            periods_mm=periods_mm, bandwidth=pattern.bandwidth, dimensions=pattern.dimensions, seed=pattern.seed,
-            directions=pattern.directions or 0, spectrum=make_spectrum(pattern.spectrum), reads=cls.read_by(pattern),
-            time=pattern.time, fourth=pattern.fourth,
+            periods_mm=setting.periods_mm, bandwidth=pattern.bandwidth, dimensions=pattern.dimensions,
+            seed=pattern.seed, directions=pattern.directions or 0, spectrum=make_spectrum(pattern.spectrum),
+            reads=cls.read_by(pattern),
+            time=pattern.time, fourth=pattern.fourth, isotropy=setting.isotropy,
         )  # fmt: skip
 
     @classmethod
@@ -137,7 +147,8 @@ class Wave:
     @classmethod
     def follows(cls, pattern: Pattern) -> bool:
         """Whether a job's pattern follows the painted direction."""
-        return not isinstance(make_spectrum(pattern.spectrum), Waveform)
+        spectrum = make_spectrum(pattern.spectrum)
+        return not isinstance(spectrum, Waveform) and not hasattr(spectrum, "amplitude_along")
 
     def __post_init__(self) -> None:
         if not self.directions:
@@ -156,7 +167,12 @@ class Wave:
     @property
     def directed(self) -> bool:
         """Whether weights follow the painted direction: not of waveforms, the law of whose values needs all alike."""
-        return not isinstance(self.spectrum, Waveform)
+        return not isinstance(self.spectrum, Waveform) and not self.by_part
+
+    @property
+    def by_part(self) -> bool:
+        """Whether each part of the half circle or half sphere has a table of its own."""
+        return hasattr(self.spectrum, "amplitude_along")
 
     @property
     def length_mm(self) -> float:
@@ -164,6 +180,8 @@ class Wave:
         longest = self.periods_mm[1]
         if isinstance(self.spectrum, Laminate | Waveform):
             return LENGTH_PERIODS * longest
+        if self.by_part and cast("Directional", self.spectrum).length_periods is not None:
+            return longest * cast("Directional", self.spectrum).length_periods  # type: ignore[operator]
         low, _ = self.spectrum.band(self.bandwidth)
         return longest * max(LENGTH_PERIODS, LENGTH_WAVES / max(low, LENGTH_WAVES / (8 * LENGTH_PERIODS)))
 
@@ -197,34 +215,57 @@ class Wave:
     @property
     def table_bytes(self) -> int:
         """Of all tables."""
-        return len(self.table_periods_mm) * self.samples * 8
+        return (self.directions if self.by_part else len(self.table_periods_mm)) * self.samples * 8
 
     @cached_property
     def tables(self) -> NDArray[np.complex128]:
-        """(R, Nx) T of each period, of mean power 1."""
+        """(R, Nx) T of each period, of mean power 1; or of each part, of the powers `powers`."""
         if isinstance(self.spectrum, Waveform):
             return self._waveform(self.spectrum)[None].astype(np.complex128)
+        modes = self._part_modes() if self.by_part else (self._modes(float(p)) for p in self.table_periods_mm)
         tables = []
-        for period in self.table_periods_mm:
-            order, amplitude, phase = self._modes(float(period))
+        for order, amplitude, phase in modes:
             spectrum = np.zeros(self.samples, np.complex128)
             spectrum[order] = amplitude * np.exp(1j * phase)
             tables.append(np.fft.ifft(spectrum) * self.samples)
         return np.stack(tables)
 
+    @cached_property
+    def powers(self) -> Floats:
+        """(R,) mean power of each table."""
+        if not self.by_part:
+            return np.ones(len(self.tables))
+        return np.array([np.sum(amplitude**2) for _, amplitude, _ in self._part_modes()])
+
+    def _part_modes(self) -> list[tuple[Ints, Floats, Floats]]:
+        """As _modes, of each part's middle; the mean of all Σ² is 1."""
+        spectrum, period = cast("Directional", self.spectrum), self.periods_mm[0]
+        low, high = (f / period * self.length_mm for f in spectrum.band(self.bandwidth))
+        order = np.arange(max(1, ceil(low)), int(high) + 1)
+        frequency: Floats = np.asarray(order * (period / self.length_mm), np.float64)
+        rise = frequency ** ((getattr(spectrum, "dimensions", self.dimensions) - 1) / 2)
+        middle = self.parts.directions(np.full((self.directions, 2), 0.5), np.arange(self.directions))
+        amplitudes = [spectrum.amplitude_along(omega, frequency, self.bandwidth) * rise for omega in middle]
+        scale = sqrt(float(np.mean([np.sum(a**2) for a in amplitudes])))
+        phase = self._shares(order, 0, PHASES)[:, 0] * (2 * pi)
+        return [(order, a / scale, phase) for a in amplitudes]
+
     def _modes(self, period_mm: float) -> tuple[Ints, Floats, Floats]:
         """Harmonics l of the table of a period, their amplitudes with Σ² = 1, and phases."""
-        assert not isinstance(self.spectrum, Waveform)
-        low, high = (f / period_mm * self.length_mm for f in self.spectrum.band(self.bandwidth))
+        spectrum = cast("Spectrum", self.spectrum)
+        low, high = (f / period_mm * self.length_mm for f in spectrum.band(self.bandwidth))
         order = np.arange(max(1, ceil(low)), int(high) + 1)
         frequency: Floats = np.asarray(order * (period_mm / self.length_mm), np.float64)
-        amplitude = self.spectrum.amplitude(frequency, self.bandwidth) * frequency ** ((self.dimensions - 1) / 2)
+        amplitude = spectrum.amplitude(frequency, self.bandwidth) * frequency ** ((self.dimensions - 1) / 2)
         phase = self._shares(order, 0, PHASES)[:, 0] * (2 * pi)
         return order, amplitude / sqrt(float(np.sum(amplitude**2))), phase
 
     @property
     def _line(self) -> tuple[Floats, Floats]:
         """Frequencies (1/mm) and powers of the finest table's waves."""
+        if self.by_part:
+            modes = self._part_modes()
+            return modes[0][0] / self.length_mm, np.mean([amplitude**2 for _, amplitude, _ in modes], axis=0)
         order, amplitude, _ = self._modes(self.periods_mm[0])
         return order / self.length_mm, amplitude**2
 
@@ -299,7 +340,7 @@ class Wave:
 
     def weights(self, isotropy: Floats) -> Floats:
         """(S, COSINES + 1) w of waves whose direction has the cosine 0 … 1 to the normal, for (S,) isotropies."""
-        if not self.directed:
+        if not self.directed:  # also where each part has a table of its own
             return np.ones((len(isotropy), COSINES + 1))
         return lobes(np.linspace(0.0, 1.0, COSINES + 1), isotropy, self.bandwidth, self.dimensions)
 
@@ -312,6 +353,8 @@ class Wave:
         directions = self.parts.directions(np.full((self.directions, 2), 0.5), np.arange(self.directions))
         cosines = np.linspace(0.0, 1.0, COSINES + 1)
         weight = np.interp(np.abs(directions @ normal), cosines, self.weights(np.array([self.isotropy]))[0]) ** 2
+        if self.by_part:
+            weight = weight * self.powers
         frequency, power = self._few_lines
         distance = np.linspace(0.0, COHERENT_PERIODS, COHERENCES) * self.periods_mm[1]
         phase = 2 * pi * frequency * (self.periods_mm[0] / self.periods_mm[1])

@@ -1,0 +1,35 @@
+"""What a noise is told of the job beside its own keys."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from amslicer.noise.lobes import Lobes
+
+    Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Setting:
+    """The part's and the printer's share.
+
+    Attributes:
+        periods_mm: the shortest and the longest painted period.
+        lobes: several directions at a place, in printer axes; None: the painted one.
+        isotropy: the lowest that is painted.
+        size_mm: along x and y, of what is to be covered.
+        exemplar: (rows, columns) periodic component of the picture to imitate, row 0 lowest; None without one.
+        pixel_mm: of the exemplar.
+    """
+
+    periods_mm: tuple[float, float]
+    lobes: Lobes | None = None
+    isotropy: float = 0.0
+    size_mm: tuple[float, float] = (0.0, 0.0)
+    exemplar: Floats | None = None
+    pixel_mm: float = 1.0
