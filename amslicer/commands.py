@@ -163,8 +163,7 @@ def gallery_command(options: Namespace, check: Callable[[], None]) -> int:
 
     from amslicer import report
     from amslicer.figures import FIGURES, figures
-    from amslicer.gallery import pictures, sheet
-    from amslicer.noise import NOISES
+    from amslicer.gallery import ROWS, pictures, sheet
     from amslicer.storage import storage_errors
 
     folder = Path(options.out)
@@ -172,16 +171,17 @@ def gallery_command(options: Namespace, check: Callable[[], None]) -> int:
         folder.mkdir(parents=True, exist_ok=True)
     rows: dict[str, list[tuple[str, Any]]] = {}
     remade: dict[str, list[tuple[str, Any]]] = {}
-    steps = len(NOISES) + FIGURES
+    steps = len(ROWS) + FIGURES
     with report.progress_bar("drawing", "rows", quiet=options.quiet) as show:
         shown = _checked(show, check)
-        for noise in NOISES:
-            for name, picture in pictures(noise):
+        for row in ROWS:
+            for name, picture in pictures(row):
                 check()
-                rows.setdefault(noise, []).append((name, picture))
+                rows.setdefault(row, []).append((name, picture))
                 if picture is not None:
-                    words = "".join(c if c.isalnum() else "-" for c in name.replace(" %", "").replace(",", "")).lower()
-                    _save_picture(Image.fromarray(picture), folder / f"{noise}-{words}.png")
+                    words = f"{row} {name}".replace(" %", "").replace(",", "")
+                    file = "".join(c if c.isalnum() else "-" for c in words).lower()
+                    _save_picture(Image.fromarray(picture), folder / f"{file}.png")
             shown(len(rows), steps)
         for name, made in figures():
             remade[name] = made

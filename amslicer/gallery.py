@@ -6,12 +6,15 @@ All of it is evaluated by `amslicer.noise.sample` in plain NumPy: no part, no de
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from amslicer.analysis import DECADES, decades, power_map
+from amslicer.exemplar import periodic_component
 from amslicer.noise import NOISES, Noise, sample
+from amslicer.noise.philox import words
 from amslicer.noise.setting import Setting
 from amslicer.pictures import BACKGROUND, GAP, INK, TEXT_HEIGHT
 from amslicer.profiles import PROFILES, make_profile
@@ -40,36 +43,71 @@ WAVEFORMS = {
     "sine to harmonics": BlendShape.model_validate({"blend": {"from": "sine", "to": HARMONICS, "by": 0.0}}),
 }  # a blend goes from left to right here, whatever its field
 
+# What is drawn: every noise, and wave noise of several spectra.
+ROWS: dict[str, tuple[str, dict[str, Any]]] = {
+    **{name: (name, {}) for name in NOISES},
+    "wave, modulus": ("wave", {"reads": "modulus"}),
+    "wave, white": ("wave", {"spectrum": "white", "reads": "real"}),
+    "wave, brown": ("wave", {"spectrum": "brown", "reads": "real"}),
+    "wave, crystal": ("wave", {"spectrum": "crystal"}),
+    "wave, web": ("wave", {"spectrum": "web"}),
+}
+GRAIN_PIXELS, GRAIN_PERIODS, GRAIN_FREQUENCY = (
+    64,
+    8.0,
+    (1.2, 0.5),
+)  # of the exemplar; its mean waves per period, x and y
+
 CAPTION = (
     f"{PERIODS:g} periods a side, bandwidth {BANDWIDTH:g}; painted: direction from the middle, ratio from left to "
     "right, isotropy from bottom to top"
 )
 
 
-def pictures(noise: str) -> Iterator[tuple[str, Picture | None]]:
-    """The pictures of a noise, (PIXELS, PIXELS, 3) with row 0 at the top; None where there is no such thing.
+def pictures(row: str) -> Iterator[tuple[str, Picture | None]]:
+    """The pictures of a row of ROWS, (PIXELS, PIXELS, 3) with row 0 at the top; None where there is no such thing.
 
     The real part, two materials, three materials by each profile, painted fields, the spectrum of two.
     """
-    g = sample(noise, *plane(PERIODS), orientation=ORIENTATION, bandwidth=BANDWIDTH, seed=SEED)
-    yield "value Re G", grey(g.real)
-    yield "pwm, 30 %", _colored(labels(noise, g, TWO, "pwm"))
-    for profile in ("symmetric", "cyclic"):
-        built = _made(noise).reads == "phase" or not PROFILES[profile].arrows
-        yield f"{profile}, three materials", _colored(labels(noise, g, THREE, profile)) if built else None
-    # Around the middle; ratio from 0.1 at the left to 0.9, isotropy from 0 below to 1.
+    noise, keys = ROWS[row]
+    made = _made(row)
+    given = {key: value for key, value in keys.items() if key != "reads"}
+    if "exemplar" in NOISES[noise].keys:
+        given |= {"exemplar": grain(), "exemplar_pixel_mm": GRAIN_PERIODS / GRAIN_PIXELS}
+    of_row: dict[str, Any] = {"bandwidth": BANDWIDTH, "seed": SEED, **given}
+    # Waves of any spectrum are shown in all directions.
+    turned: dict[str, Any] = {"orientation": ORIENTATION, "isotropy": 1.0 if "spectrum" in keys else 0.0}
     x, y = plane(PERIODS)
+    g = sample(noise, x, y, **of_row, **turned)
+    yield "value Re G", grey(g.real)
+    yield "pwm, 30 %", _colored(labels(row, g, TWO, "pwm"))
+    for profile in ("symmetric", "cyclic"):
+        built = made.reads == "phase" or not PROFILES[profile].arrows
+        yield f"{profile}, three materials", _colored(labels(row, g, THREE, profile)) if built else None
+    # Around the middle; ratio from 0.1 at the left to 0.9, isotropy from 0 below to 1.
     middle = PERIODS / 2
     painted = sample(
-        noise, x, y, bandwidth=BANDWIDTH, seed=SEED,
+        noise, x, y, **of_row,
         orientation=lambda p: np.rad2deg(np.arctan2(p[:, 1] - middle, p[:, 0] - middle)),
         isotropy=lambda p: np.clip(p[:, 1] / PERIODS, 0.0, 1.0),
     )  # fmt: skip
-    yield "painted", _colored(labels(noise, painted, (0.1 + 0.8 * np.clip(x / PERIODS, 0, 1),), "pwm"))
+    yield "painted", _colored(labels(row, painted, (0.1 + 0.8 * np.clip(x / PERIODS, 0, 1),), "pwm"))
     for name, waveform in WAVEFORMS.items():
-        yield name, _colored(labels(noise, g, (0.4,), waveform))
-    far = sample(noise, *plane(SPECTRUM_PERIODS), orientation=ORIENTATION, bandwidth=BANDWIDTH, seed=SEED)
-    yield "spectrum of pwm", spectrum(np.where(labels(noise, far, (0.5,), "pwm") == 1, 1.0, -1.0))
+        waving = made.made_of in ("kernels", "waves") and made.reads != "power"
+        yield name, _colored(labels(row, g, (0.4,), waveform)) if waving else None
+    x, y = plane(SPECTRUM_PERIODS)
+    far = sample(noise, x, y, **of_row, **turned)
+    yield "spectrum of pwm", spectrum(np.where(labels(row, far, (0.5,), "pwm") == 1, 1.0, -1.0))
+
+
+def grain() -> Floats:
+    """(GRAIN_PIXELS, GRAIN_PIXELS) exemplar: a bundle of 60 waves that hashed numbers choose, periodic, 0…1."""
+    shares = words(np.arange(60), 0, 0, 0, seed=SEED) / 2.0**32
+    k = np.rint((shares[:, :2] - 0.5) * GRAIN_PERIODS + np.array(GRAIN_FREQUENCY) * GRAIN_PERIODS)
+    at = np.arange(GRAIN_PIXELS) / GRAIN_PIXELS
+    phase = k[:, 0, None, None] * at + k[:, 1, None, None] * at[:, None] + shares[:, 2, None, None]
+    values: Floats = np.cos(2 * np.pi * phase).sum(axis=0)
+    return np.asarray((values - values.min()) / np.ptp(values))
 
 
 def sheet(rows: Mapping[str, Sequence[tuple[str, Picture | None]]], caption: str = CAPTION) -> Image:
@@ -107,27 +145,35 @@ def plane(periods: float) -> tuple[Floats, Floats]:
     return at[None, :], at[::-1, None]
 
 
-def labels(noise: str, g: Complexes, cumulative: tuple[float | Floats, ...], profile: ProfileSpec) -> NDArray[np.uint8]:
+def labels(row: str, g: Complexes, cumulative: tuple[float | Floats, ...], profile: ProfileSpec) -> NDArray[np.uint8]:
     """Materials of a field with BANDWIDTH, from 1.
 
     Args:
         profile: a name, or a shape.
     """
     until = np.stack([np.broadcast_to(np.asarray(c, np.float64), g.shape) for c in cumulative])
-    made = _made(noise)
+    made = _made(row)
     if not isinstance(profile, str):
         table = make_profile(profile).rank_table(made)
         assert table is not None
         rank = table.look_up(g, np.linspace(0, 1, g.shape[1])[None, :])
         return np.asarray(1 + np.count_nonzero(rank >= until, axis=0), np.uint8)
-    if made.reads == "value":
-        return np.asarray(1 + np.count_nonzero(g.real <= made.levels_of(until), axis=0), np.uint8)
+    if made.reads != "phase":
+        value = g.real if made.reads == "value" else np.abs(g) ** 2
+        return np.asarray(1 + np.count_nonzero(value <= made.levels_of(until), axis=0), np.uint8)
     return (cyclic_labels if PROFILES[profile].arrows else symmetric_labels)(g, until)
 
 
-def _made(noise: str) -> Noise:
-    pattern = Pattern.model_validate({"noise": noise, "dimensions": 2, "bandwidth": BANDWIDTH, "seed": SEED})
-    return NOISES[noise].of_pattern(pattern, Setting((1.0, 1.0)))
+@lru_cache
+def _made(row: str) -> Noise:
+    """The noise of a row, with as much of a texture as the larger pictures show."""
+    noise, keys = ROWS[row]
+    asked = {"noise": noise, "dimensions": 2, "bandwidth": BANDWIDTH, "seed": SEED, **keys}
+    exemplar = periodic_component(grain()) if "exemplar" in NOISES[noise].keys else None
+    setting = Setting(
+        (1.0, 1.0), size_mm=(SPECTRUM_PERIODS,) * 2, exemplar=exemplar, pixel_mm=GRAIN_PERIODS / GRAIN_PIXELS
+    )
+    return NOISES[noise].of_pattern(Pattern.model_validate(asked), setting)
 
 
 def grey(values: Floats, most: float | None = None) -> Picture:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -18,6 +19,9 @@ if TYPE_CHECKING:
 
 DEFAULT_PRINTER = "generic-600dpi"
 PWM = ("pwm", "symmetric")
+LEAST_WAVE_BANDWIDTH = 0.05  # narrower lobes are finer than the table of their weights
+DIRECTIONS_SHARE = 0.45  # of the default number: with fewer, some places have no wave
+
 OVERRIDES = "overrides"  # what messages call values that did not come from the job file
 # Keys and values of the job file's language that this version does not know at all.
 UNBUILT_KEYS = (
@@ -150,7 +154,7 @@ def _explain(error: ValidationError, content: dict[str, Any], origin: Origin) ->
         return origin.error(path, f"the key '{missing}' is missing", "`amslicer init` writes an example")
     text = first["msg"].removeprefix("Value error, ").replace("valid tuple", "list")
     text = text[0].lower() + text[1:]
-    if first["type"] in ("field_source", "profile", "waveform"):
+    if first["type"] in ("field_source", "profile", "waveform", "spectrum"):
         problem = f"{key}: {_shown(found)} {text}"
     elif first["type"] == "value_error":  # our own sentences have the value in them
         problem = f"{key}: {text}"
@@ -174,13 +178,19 @@ def _child(node: Any, step: str | int) -> Any:
 def _real_path(loc: tuple[int | str, ...], content: Any) -> KeyPath:
     """The steps of a validation location that are keys of the content (it also names union members)."""
     from amslicer.fields import SOURCES
+    from amslicer.noise.spectra import SHAPES as SPECTRA
     from amslicer.profiles import SHAPES
 
     path: list[int | str] = []
     node, named = content, False
     for step in loc:
         # The location of a field or a profile starts with the name of its kind, which is one of its keys too.
-        if (step in SOURCES or step in SHAPES) and isinstance(node, dict) and step in node and not named:
+        if (
+            (step in SOURCES or step in SHAPES or step in SPECTRA)
+            and isinstance(node, dict)
+            and step in node
+            and not named
+        ):
             named = True
         elif (isinstance(node, dict) and step in node) or (isinstance(node, list) and isinstance(step, int)):
             path.append(step)
@@ -266,6 +276,7 @@ def _refuse_contradictions(spec: JobFile, origin: Origin) -> None:
     reads = kind.read_by(pattern)
     if reads != "phase":
         bare = reads == "power" or kind.made_of in ("planes", "textures")  # no wave is behind the value
+        waveless = bare or (kind.made_of == "waves" and not kind.follows(pattern))
         needs: tuple[tuple[str, bool, Any, Any], ...] = (
             (
                 "profile",
@@ -273,7 +284,7 @@ def _refuse_contradictions(spec: JobFile, origin: Origin) -> None:
                 profile_name(pattern.profile),
                 "pwm",
             ),
-            ("edges", bare and pattern.edges != "sharp", pattern.edges, "sharp"),
+            ("edges", waveless and pattern.edges != "sharp", pattern.edges, "sharp"),
             ("alignment", pattern.alignment > 0, pattern.alignment, 0),
         )
         for key, refused, value, default in needs:
@@ -324,6 +335,12 @@ def _refuse_keys_of_others(spec: JobFile, origin: Origin) -> None:
                 f"pattern.{key}: {shown} means nothing to {pattern.noise} noise",
                 f"leave it out; it belongs to {', '.join(others)}",
             )
+    _refuse_directions(spec, origin)
+    if pattern.edges == "dithered" and pattern.spectrum != "laminate":
+        raise origin.error(
+            ("pattern", "edges"), "pattern.edges: dithered follows a laminate's waves, and these have another spectrum",
+            "use edges: sharp",
+        )  # fmt: skip
     if "exemplar" in keys and pattern.exemplar is None:
         raise origin.error(
             ("pattern", "exemplar"),
@@ -335,6 +352,38 @@ def _refuse_keys_of_others(spec: JobFile, origin: Origin) -> None:
             ("pattern", "reads"),
             f"pattern.reads: {pattern.reads}, but waves of {pattern.spectrum} are real: they have a value alone",
             "leave it out",
+        )
+
+
+def _refuse_directions(spec: JobFile, origin: Origin) -> None:
+    """Too few directions for a lobe, too narrow a lobe, too many families of walls."""
+    from amslicer.noise import NOISES
+    from amslicer.noise.hyperplanes import FAMILIES_PER_LEVEL
+    from amslicer.noise.waves import default_directions
+
+    pattern = spec.pattern
+    kind, count = NOISES[pattern.noise], pattern.directions
+    if kind.made_of == "planes" and (count or 0) > FAMILIES_PER_LEVEL:
+        raise origin.error(
+            ("pattern", "directions"),
+            f"pattern.directions: {count}, but {pattern.noise} has at most {FAMILIES_PER_LEVEL} families of walls",
+            "3 to 5 show as directions, more make needles",
+        )
+    if kind.made_of != "waves" or not kind.follows(pattern):
+        return
+    if pattern.bandwidth < LEAST_WAVE_BANDWIDTH:
+        raise origin.error(
+            ("pattern", "bandwidth"),
+            f"pattern.bandwidth: {pattern.bandwidth:g}, but wave noise has {LEAST_WAVE_BANDWIDTH:g} or more",
+            "use noise: phasor for narrower bands",
+        )
+    least = math.ceil(default_directions(pattern.bandwidth, pattern.dimensions) * DIRECTIONS_SHARE)
+    if count is not None and count < least:
+        raise origin.error(
+            ("pattern", "directions"),
+            f"pattern.directions: {count} are too few: at bandwidth {pattern.bandwidth:g} a laminate needs {least} or "
+            "more, for some normals lie between two",
+            f"leave it out, which makes {default_directions(pattern.bandwidth, pattern.dimensions)}",
         )
 
 

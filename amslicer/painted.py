@@ -110,9 +110,14 @@ class Painted:
         return self.isotropy.bounds
 
     @property
+    def turns(self) -> bool:
+        """Whether the painted direction is not the same everywhere."""
+        return any(low != high for low, high in (sampler.bounds for sampler in self.orientation.samplers))
+
+    @property
     def one_direction(self) -> bool:
         """Whether direction and isotropy are the same everywhere."""
-        return all(low == high for low, high in (s.bounds for s in (*self.orientation.samplers, self.isotropy)))
+        return not self.turns and self.isotropy.bounds[0] == self.isotropy.bounds[1]
 
     @property
     def direction_depends_on_z(self) -> bool:

@@ -48,12 +48,23 @@ def make_noise(job: Job, painted: Painted) -> Noise:
     """The job's noise with its parameters."""
     pattern = job.spec.pattern
     width, depth = (float(v) for v in painted.placement.size_mm[:2])
-    pixel_mm = pattern.exemplar_pixel_mm or job.spec.printer.pitch_mm[0]
     setting = Setting(
-        painted.period_bounds_mm, job_lobes(job, painted), isotropy=min(max(painted.isotropy_bounds[0], 0.0), 1.0),
-        size_mm=(width, depth), pixel_mm=pixel_mm, exemplar=None if pattern.exemplar is None else _example(job),
-    )  # fmt: skip
+        painted.period_bounds_mm,
+        job_lobes(job, painted),
+        isotropy=min(max(painted.isotropy_bounds[0], 0.0), 1.0),
+        normal=_in_the_middle(painted),
+        turns=painted.turns,
+        painted=not painted.one_direction,
+        size_mm=(width, depth),
+        exemplar=None if pattern.exemplar is None else _example(job),
+        pixel_mm=pattern.exemplar_pixel_mm or job.spec.printer.pitch_mm[0],
+    )
     return NOISES[pattern.noise].of_pattern(pattern, setting)
+
+
+def _in_the_middle(painted: Painted) -> tuple[float, float, float]:
+    x, y, z = painted.normals(painted.placement.size_mm[None] / 2)[0]
+    return float(x), float(y), float(z)
 
 
 def _example(job: Job) -> Floats:

@@ -50,6 +50,10 @@ MAX_LAYER_PIXELS = 170_000_000
 MAX_LAYERS = 1_000_000
 MAX_SIDE_MM = 1e7  # 10 km
 MAX_KERNELS, MAX_TABLE_BYTES = 20_000_000, 8 << 30  # of one batch of layers: beyond, memory runs out
+MIN_PERIOD_MM = 1e-4
+# Of wave noise: slices that a part meets, and their entries in the lists of all tiles (32 bytes, three times at most).
+MAX_SLICES, MAX_ENTRIES, WAVES_IN_A_LOBE, SLICES_AT_A_TILE = 20_000_000, 40_000_000, 0.3, 1.3
+MAX_PERIODS = 1e5  # of cells along a part
 MAX_PERIOD_RATIO = 100  # longest to shortest painted period: the lattice is as fine as the shortest asks for
 PERIOD_ROUNDING = 1e-9
 ESTIMATE_BLOCKS, ESTIMATE_SHARE, ESTIMATE_SECONDS = 4, 0.25, 5.0  # blocks of layers, at most, but one at least
@@ -168,6 +172,12 @@ def _refuse_absurd(job: Job, grid: Grid, placement: Placement) -> None:
 def _refuse_periods(painted: Painted) -> None:
     """A painted period is greater than 0 and graded by no more than the kernels' grid serves."""
     shortest, longest = painted.period_bounds_mm
+    if shortest > 0 and not (shortest >= MIN_PERIOD_MM and longest <= MAX_SIDE_MM):
+        raise JobError(
+            f"pattern.period: the painted period goes from {shortest:.4g} to {longest:.4g} mm; between "
+            f"{MIN_PERIOD_MM:g} and {MAX_SIDE_MM:g} mm is sliced",
+            hint="a period is mm from sheet to sheet: usually 0.3 to 10",
+        )
     if not shortest > 0:
         raise JobError(
             f"pattern.period: the painted period falls to {shortest:.4g} mm; a period is greater than 0 mm",
@@ -212,11 +222,29 @@ def _refuse_many_kernels(job: Job, any_noise: Noise, grid: Grid, painted: Painte
 def _refuse_large_tables(job: Job, noise: Noise, grid: Grid, painted: Painted) -> None:
     """The tables of all painted periods."""
     wave = cast("Wave", noise)
+    extent = float(np.linalg.norm(painted.placement.size_mm))
+    tiling = choose_tiling(grid, painted.period_bounds_mm[0])
+    tiles = float(np.prod(tiling.over(grid)))
+    share = 1.0 if not wave.directed or wave.isotropy > 0 else WAVES_IN_A_LOBE
+    slices = wave.directions * (1 + extent / wave.slice_mm)
+    entries = tiles * wave.directions * share * SLICES_AT_A_TILE
+    if slices > MAX_SLICES or entries > MAX_ENTRIES:
+        raise JobError(
+            f"the job is too large: with pattern.period {painted.period_bounds_mm[0]:g} mm and {wave.directions} "
+            f"directions there are {slices:.3g} slices of waves, and {entries:.3g} of them at all tiles of a layer",
+            hint="use a longer period, fewer pattern.directions, less isotropy, or noise: phasor",
+        )
     if len(wave.table_periods_mm) > 1 and (wave.by_part or not wave.directed):
         shortest, longest = painted.period_bounds_mm
         raise JobError(
             f"pattern.period: from {shortest:.4g} to {longest:.4g} mm, but waves of this spectrum have one period",
             hint="give one number, or a spectrum that is the same in all directions",
+        )
+    if wave.by_part and wave.table_bytes > MAX_WAVE_BYTES:
+        raise JobError(
+            f"the job is too large: {wave.directions} directions need tables of {wave.samples} samples each "
+            f"({wave.table_bytes / 1e6:.0f} MB); at most {MAX_WAVE_BYTES / 1e6:.0f} MB are made",
+            hint="use a smaller exemplar, larger pixels (pattern.exemplar_pixel_mm) or fewer pattern.directions",
         )
     if wave.table_bytes > MAX_WAVE_BYTES:
         shortest, longest = painted.period_bounds_mm
@@ -231,6 +259,12 @@ def _refuse_large_tables(job: Job, noise: Noise, grid: Grid, painted: Painted) -
 def _refuse_graded_cells(job: Job, noise: Noise, grid: Grid, painted: Painted) -> None:
     """Planes go through the whole part: they have one distance."""
     shortest, longest = painted.period_bounds_mm
+    if float(painted.placement.size_mm.max()) > MAX_PERIODS * shortest:
+        raise JobError(
+            f"the job is too large: the part measures {float(painted.placement.size_mm.max()):.4g} mm, more than "
+            f"{MAX_PERIODS:g} periods of {shortest:g} mm",
+            hint="use a longer period",
+        )
     if longest > shortest * (1 + PERIOD_ROUNDING):
         raise JobError(
             f"pattern.period: from {shortest:.4g} to {longest:.4g} mm, but walls of {job.spec.pattern.noise} go "

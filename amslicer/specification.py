@@ -26,6 +26,7 @@ Positive = Annotated[Number, Field(gt=0)]
 
 MAX_SEED = 2**64 - 1
 MIN_DIRECTIONS, MAX_DIRECTIONS = 4, 20_000  # fewer waves are gratings, more take minutes
+MAX_TIME = 1e6  # periods: beyond, float64 forgets where waves began
 MAX_DEPTH = 12  # of divisions: cells of the last are then a thousandth of the first
 MIN_IMPULSES = 2  # fewer kernels leave empty places, where there is no phase and the ratio is wrong
 MIN_PITCH_MM, MAX_PITCH_MM = 1e-4, 1e3  # finer than light, coarser than a part: a mistake
@@ -181,7 +182,7 @@ class Pattern(Model):
     exemplar: str | None = Field(
         default=None, min_length=1, description="picture to imitate, grey or RGB PNG or TIFF, relative to the job file"
     )
-    exemplar_pixel_mm: Positive | None = Field(
+    exemplar_pixel_mm: Annotated[Number, Field(ge=MIN_PITCH_MM, le=MAX_PITCH_MM)] | None = Field(
         default=None, description="size of its pixels in the part; default: the printer's, along x"
     )
     planes: tuple[Literal["xy", "xz", "yz"], ...] = Field(
@@ -198,8 +199,10 @@ class Pattern(Model):
     reads: Literal["phase", "real", "modulus"] | None = Field(
         default=None, description="what of wave noise becomes material; default: phase (real of crystal and web)"
     )
-    time: Number = Field(default=0.0, description="how far waves have travelled, in periods: a family of related parts")
-    fourth: Number = Field(
+    time: Annotated[Number, Field(ge=-MAX_TIME, le=MAX_TIME)] = Field(
+        default=0.0, description="how far waves have travelled, in periods: a family of related parts"
+    )
+    fourth: Annotated[Number, Field(ge=-MAX_TIME, le=MAX_TIME)] = Field(
         default=0.0, description="a fourth coordinate, in periods: waves move with it at speeds of their own"
     )
     evaluate: Literal["lattice", "exact"] = Field(default="lattice", description="how G is computed")

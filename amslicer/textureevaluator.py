@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
 
+KEPT_BYTES = 1 << 30  # of textures: all that a block of layers lies between, of large parts
 PLACE = np.dtype([("whole", np.int32, 2), ("part", np.float32, 2)])  # cl/texture.cl: struct Place
 
 
@@ -28,9 +29,10 @@ class Textures:
         self._buffers: dict[int, Any] = {}
 
     def buffer(self, step: int) -> Any:
-        """A step's texture on the device; the last two are kept."""
+        """A step's texture on the device; the last few are kept."""
         if step not in self._buffers:
-            while len(self._buffers) > 1:
+            most = max(2, KEPT_BYTES // (4 * self.noise.spot.size))
+            while len(self._buffers) >= most:
                 del self._buffers[next(iter(self._buffers))]
             self._buffers[step] = self._device.buffer(self.noise.texture(step))
         return self._buffers[step]

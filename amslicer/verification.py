@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from amslicer.coherence import share_deviation
 from amslicer.errors import AmslicerError, JobError, StorageError
 from amslicer.fields.constant import ConstantSampler
 from amslicer.judgement import (
@@ -25,6 +24,7 @@ from amslicer.judgement import (
     ratio_problems,
 )
 from amslicer.levelspread import level_deviation
+from amslicer.likeness import share_deviation
 from amslicer.lobespread import resonance_deviation
 from amslicer.manifest import LayerRecord, placement_of
 from amslicer.noise import NOISES
@@ -231,9 +231,9 @@ def verify_stack(
     pattern = job.spec.pattern
     profile = make_profile(pattern.profile)
     lobes = job_lobes(job, painted)
-    coherence = make_noise(job, painted).coherence
+    likeness = make_noise(job, painted).likeness
     texture = Texture(painted, stack.grid, pattern.bandwidth, profile, lobes)
-    usable = texture.usable and coherence is None  # what is no laminate has no direction and period
+    usable = texture.usable and likeness is None  # what is no laminate has no direction and period
     shown: list[Shown] = []
     with ThreadPoolExecutor(Run(jobs=jobs).threads) as pool:
         look = _LayerLook(stack, painted, windows, texture if usable else None)
@@ -251,7 +251,7 @@ def verify_stack(
     levels = list(windows.levels(
         pattern.bandwidth, profile, values=NOISES[pattern.noise].read_by(pattern) != "phase",
         aligned=pattern.alignment > 0, lobes=lobes,
-        coherence=coherence,
+        likeness=likeness,
     ))  # fmt: skip
     materials = _material_reports(stack, job, painted, totals, asked)
     for m in materials.values():
@@ -448,10 +448,11 @@ def ratio_tolerance(
         )))  # fmt: skip
         normals = directions.reshape(-1, 3)
         across = float(np.min(np.abs(normals) @ size)) / period
-    coherence = make_noise(job, painted).coherence
-    if coherence is not None:
+    likeness = make_noise(job, painted).likeness
+    if likeness is not None:
         sides_mm = sides[None] * period
-        sigma, across = float(share_deviation(np.array([[ratio]]), sides_mm, coherence)[0, 0]), math.inf
+        below, until = (np.full((1, 1), c) for c in cumulative)
+        sigma, across = float(share_deviation(below, until, sides_mm, likeness)[0, 0]), math.inf
     elif NOISES[pattern.noise].read_by(pattern) != "phase":
         sigma = max(
             float(np.max(level_deviation(

@@ -104,6 +104,7 @@ class WaveEvaluator:
         self._flat_paint: NDArray[np.float32] | None = None
         waves = self._all_waves()
         starts, entries, used = self._lists(waves)
+        self.entries_per_tile = len(entries) / max(1, len(tiles))
         self._buffers = [device.buffer(a) for a in (starts, entries, used)]
 
     @property
@@ -154,7 +155,7 @@ class WaveEvaluator:
         first, span = self._corners()
         waves = self._noise.waves(first.min(axis=0), first.max(axis=0) + span)
         if self._noise.by_part:
-            return waves.take(self._noise.powers[waves.part] > 0)
+            return waves.take(self._noise.powers[self._noise.rows[waves.part]] > 0)
         if self._painted or not len(waves.offset):
             return waves
         weight = self._weight(waves.direction @ self._normals[0])
@@ -176,8 +177,8 @@ class WaveEvaluator:
         device_waves["table"][:, :3] = waves.direction * steps * per_mm
         device_waves["across"][:, :3] = waves.axis * steps / width
         device_waves["direction"][:, :3] = waves.direction
-        device_waves["table"][:, 3] = waves.part if noise.by_part else 0
-        device_waves["across"][:, 3] = noise.powers[waves.part] if noise.by_part else 1
+        device_waves["table"][:, 3] = noise.rows[waves.part] if noise.by_part else 0
+        device_waves["across"][:, 3] = noise.powers[noise.rows[waves.part]] if noise.by_part else 1
         reach = np.abs(waves.axis) @ span / 2
         middle = first + span / 2
         near = self._near(waves) if self._painted else None
@@ -206,7 +207,9 @@ class WaveEvaluator:
             entries["blended"] = (low < waves.low_mm[wave] + noise.blend_mm) | (
                 high > waves.high_mm[wave] - noise.blend_mm
             )
-            entries["opposite"] = np.einsum("ni,ni->n", waves.direction[wave], self._normals[some][tile]) < 0
+            if not noise.by_part:  # whose parts are on one side already
+                against = np.einsum("ni,ni->n", waves.direction[wave], self._normals[some][tile]) < 0
+                entries["opposite"] = against
             found.append(entries)
         starts = np.concatenate([[0], np.cumsum(counts)]).astype(np.uint32)
         return starts, np.concatenate(found) if found else np.zeros(0, ENTRY), device_waves

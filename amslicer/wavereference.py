@@ -34,7 +34,7 @@ def wave(
     normal: Callable[[Floats], Floats], isotropy: Field = 0.0, directions: int, length_mm: float, samples: int,
     periods: ArrayLike, amplitude: Amplitude, band: tuple[float, float], table: Complexes | None = None,
     time: float = 0.0, fourth: float = 0.0, along: Callable[[Floats, Floats], Floats] | None = None,
-    rise: float | None = None,
+    rise: float | None = None, fading: bool = False,
 ) -> Complexes:  # fmt: skip
     """G at any points, each wave with the sign that puts it on the normal's side.
 
@@ -49,8 +49,9 @@ def wave(
         periods: of the tables, mm, rising; between two they are mixed in the place of the period among them.
         amplitude, band: A over frequencies in 1/period, and the lowest and highest of them.
         table: a waveform instead, read in all directions alike.
-        along: A over (3,) directions and frequencies instead: a table for the middle of each part, and no lobe. The
-            mean of their powers is 1.
+        along: A over (3,) directions and frequencies instead: a table for each part, of the mean power of nine (in 2D
+            three) directions in it, no lobe and no normal. The mean of the tables' powers is 1.
+        fading: of waves within 5° of the plane across the normal, where it turns.
         rise: exponent of the frequency beside A; default: (dimensions - 1)/2.
         time, fourth: how far waves have moved, in the shortest period.
     """
@@ -68,13 +69,14 @@ def wave(
     if len(rows) > 1:
         row = np.interp(_at(period, places), rows, np.arange(len(rows)))
     n = normal(places)
-    weight_at = _weights(isotropy, places, bandwidth, dimensions) if table is None and along is None else _alike
+    weight_at = _weights(isotropy, places, bandwidth, dimensions, fading) if table is None and along is None else _alike
     if along is not None:
-        middles = [_direction(k, 0.5, 0.5, directions, dimensions) for k in range(directions)]
-        each = [
-            _table(rows[0], length_mm, samples, partial(along, omega), band, rise, seed, unit=False)
-            for omega in middles
-        ]
+        places_of = [(u / 6, v / 6) for u in (1, 3, 5) for v in ((1, 3, 5) if dimensions == 3 else (3,))]
+        each = []
+        for k in range(directions):
+            looks = [_direction(k, u, v, directions, dimensions) for u, v in places_of]
+            of_part_alone = partial(_mean_amplitude, along, looks)
+            each.append(_table(rows[0], length_mm, samples, of_part_alone, band, rise, seed, unit=False))
         mean = sum(power for _, power in each) / directions
         powers = np.array([power / mean for _, power in each])
         of_part = [values / math.sqrt(mean) for values, _ in each]
@@ -99,9 +101,13 @@ def wave(
             moved = forth * time + (2 * _share(part, number, SPEED, seed)[0] - 1) * fourth
             at = (places[here] @ omega / length_mm + words[2] - moved * rows[0] / length_mm) % 1.0
             value = _read(tables if along is None else [of_part[part]], row[here], at)
-            total[here] += weight * np.where(cosine < 0, value.conj(), value)
+            total[here] += weight * (value if along is not None else np.where(cosine < 0, value.conj(), value))
             power[here] += weight**2 * powers[part]
     return np.asarray(total / np.sqrt(np.where(power > 0, power, 1.0))).reshape(shape)
+
+
+def _mean_amplitude(along: Callable[[Floats, Floats], Floats], looks: list[Floats], frequency: Floats) -> Floats:
+    return np.asarray(np.sqrt(np.mean([along(omega, frequency) ** 2 for omega in looks], axis=0)))
 
 
 def _at(field: Field, places: Floats) -> Floats:
@@ -188,14 +194,14 @@ def _alike(cosine: Floats, here: NDArray[np.int64]) -> Floats:
 
 
 def _weights(
-    isotropy: Field, places: Floats, bandwidth: float, dimensions: int
+    isotropy: Field, places: Floats, bandwidth: float, dimensions: int, fading: bool
 ) -> Callable[[Floats, NDArray[np.int64]], Floats]:
     """A function from |cos γ| and the numbers of places to the amplitudes there."""
     grid = np.linspace(0.0, 1.0, 4097)
     if not callable(isotropy):
-        only = _lobe(grid, isotropy, bandwidth, dimensions)
+        only = _lobe(grid, isotropy, bandwidth, dimensions, fading)
         return lambda cosine, here: np.interp(cosine, grid, only)
-    rows = np.stack([_lobe(grid, s, bandwidth, dimensions) for s in np.linspace(0.0, 1.0, 33)])
+    rows = np.stack([_lobe(grid, s, bandwidth, dimensions, fading) for s in np.linspace(0.0, 1.0, 33)])
     level = np.clip(_at(isotropy, places), 0.0, 1.0) * 32
 
     def mixed(cosine: Floats, here: NDArray[np.int64]) -> Floats:
@@ -210,9 +216,9 @@ def _weights(
     return mixed
 
 
-def _lobe(cosine: Floats, isotropy: float, bandwidth: float, dimensions: int) -> Floats:
+def _lobe(cosine: Floats, isotropy: float, bandwidth: float, dimensions: int, fading: bool) -> Floats:
     """√ of exp(-4π (1 - cos γ)/B²) averaged over the sector or cap that isotropy spreads the normal over, and over ±ω;
-    less 0.02 of its largest, and faded out within 5° of the plane across the normal."""
+    less 0.02 of its largest, and where it turns faded out within 5° of the plane across the normal."""
     kappa, reach = 4 * math.pi / bandwidth**2, isotropy * math.pi / 2
     node, share = np.polynomial.legendre.leggauss(400 if reach else 1)
     sine = np.sqrt(1 - cosine**2)
@@ -228,5 +234,5 @@ def _lobe(cosine: Floats, isotropy: float, bandwidth: float, dimensions: int) ->
             along = cosine[:, None] * height + sine[:, None] * math.sqrt(max(0.0, 1 - height**2)) * np.cos(turn)
             power += part * (np.exp(-kappa * (1 - along)) + np.exp(-kappa * (1 + along))).mean(axis=1)
     amplitude = np.maximum(0.0, np.sqrt(power / power.max()) - 0.02) / 0.98
-    edge = np.minimum(1.0, cosine / math.sin(math.radians(5.0)))
+    edge = np.minimum(1.0, cosine / math.sin(math.radians(5.0))) if fading else np.ones(len(cosine))
     return np.asarray(amplitude * edge * edge * (3 - 2 * edge))

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from amslicer.coherence import PIXEL_SHARE, SIGMAS, Coherence
-from amslicer.coherence import share_deviation as coherent_deviation
 from amslicer.levelspread import level_deviation, level_limit
+from amslicer.likeness import PIXEL_SHARE, SIGMAS, Likeness
+from amslicer.likeness import share_deviation as deviation_of_likeness
 from amslicer.lobespread import resonance_deviation
 from amslicer.locking import locked_deviation
 from amslicer.spread import ALIGNED_SHARE, pixel_deviation, share_deviation, share_limit
@@ -77,7 +77,7 @@ class RatioWindows:
         if self.planar:
             leaves[2] = 1
         halvings = np.floor(np.log2(np.clip(leaves, 1, MAX_LEAVES))).astype(int)
-        self.leaves = np.minimum(2**halvings, pixels)
+        self.leaves = np.minimum(2**halvings, 2 ** np.floor(np.log2(pixels)).astype(int))
         self._edges = [np.rint(np.arange(n + 1) / n * p).astype(int) for n, p in zip(self.leaves, pixels, strict=True)]
         materials = len(painted.materials)
         nx, ny, nz = (int(n) for n in self.leaves)
@@ -116,13 +116,13 @@ class RatioWindows:
         values: bool = False,
         aligned: bool = False,
         lobes: Lobes | None = None,
-        coherence: Coherence | None = None,
+        likeness: Likeness | None = None,
     ) -> Iterator[Level]:
         """The windows of each size, from the leaves to the whole part.
 
         Args:
             values: materials follow from Gaussian values, not from phases.
-            coherence: how alike places are, of noises of which no more is known; then nothing else counts.
+            likeness: how alike places are, of noises of which no more is known; then nothing else counts.
             lobes: of the pattern's kernels; the worst of them is expected, and their resonances.
             aligned: phases are: oblique laminates then scatter less, sheets that run along a window's side more, as
                 those of a grating do. The larger is expected.
@@ -131,7 +131,7 @@ class RatioWindows:
         bandwidths = (bandwidth, ALIGNED_SHARE * bandwidth) if aligned else (bandwidth,)
         edges = [e.astype(float) for e in self._edges]
         while True:
-            level = self._level(got, asked, edges, bandwidths, profile, values, lobes, coherence)
+            level = self._level(got, asked, edges, bandwidths, profile, values, lobes, likeness)
             if level is not None:
                 yield level
             if all(len(e) == 2 for e in edges):
@@ -156,7 +156,7 @@ class RatioWindows:
         profile: Profile,
         values: bool,
         lobes: Lobes | None,
-        coherence: Coherence | None,
+        likeness: Likeness | None,
     ) -> Level | None:
         pitch = np.array([*self._grid.pitch_mm, self._grid.layer_mm])
         pixels = np.einsum("i,j,k->kji", *(np.diff(e) for e in edges))
@@ -176,22 +176,23 @@ class RatioWindows:
             low[:, 2], high[:, 2] = 0.0, self._grid.layers * self._grid.layer_mm
         of_window = solid[z, y, x][:, None]
         got_share, asked_share = (np.moveaxis(c[:, z, y, x], 0, -1) / of_window for c in (got, asked))
-        if coherence is not None:
-            return self._coherent(coherence, low, high, got_share, asked_share, filled[z, y, x], place, edges)
+        if likeness is not None:
+            return self._of_likeness(likeness, low, high, got_share, asked_share, filled[z, y, x], place, edges)
         laws = [self._spread(low, high, asked_share, filled[z, y, x], b, profile, values, lobes) for b in bandwidths]
         sigma, limit = (np.max(found, axis=0) for found in zip(*laws, strict=True))
         counts = tuple(len(e) - 1 for e in edges)
         return Level(low, high, got_share, asked_share, sigma, limit, place, (counts[0], counts[1], counts[2]))
 
-    def _coherent(
-        self, coherence: Coherence, low_mm: Floats, high_mm: Floats, got: Floats, asked: Floats, filled: Floats,
+    def _of_likeness(
+        self, likeness: Likeness, low_mm: Floats, high_mm: Floats, got: Floats, asked: Floats, filled: Floats,
         place: NDArray[np.int64], edges: list[Floats],
     ) -> Level:  # fmt: skip
         """Windows of a pattern of which only is known how alike places are."""
         axes = 2 if self.planar else 3
         sides = (high_mm - low_mm)[:, :axes]
         pixels = np.prod(sides / np.array([*self._grid.pitch_mm, self._grid.layer_mm])[:axes], axis=1)
-        sigma = coherent_deviation(np.clip(asked, 0.0, 1.0), sides, coherence) / np.sqrt(filled)[:, None]
+        until = np.cumsum(asked, axis=1)
+        sigma = deviation_of_likeness(until - asked, until, sides, likeness) / np.sqrt(filled)[:, None]
         sigma = np.hypot(sigma, np.where((asked > 0) & (asked < 1), PIXEL_SHARE / np.sqrt(pixels)[:, None], 0.0))
         limit = np.minimum(SIGMAS * sigma, np.maximum(asked, 1 - asked))
         counts = tuple(len(e) - 1 for e in edges)

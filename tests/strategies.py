@@ -175,7 +175,13 @@ UNEVEN: tuple[Any, ...] = (
     {"blend": {"from": "triangle", "to": "sawtooth", "by": 0.5}},
 )
 PATTERN: dict[str, SearchStrategy[Any]] = {
-    "noise": st.sampled_from(sorted(NOISES)),
+    "noise": st.sampled_from(sorted(name for name in NOISES if "exemplar" not in NOISES[name].keys)),
+    "spectrum": st.sampled_from(
+        ["laminate", "white", "crystal", {"gaussian": 0.8}, {"sectors": [[0, 40]], "of": "blue"}]
+    ),
+    "reads": st.sampled_from(["phase", "real", "modulus"]),
+    "time": numbers(-2, 2),
+    "depth": st.integers(0, 3),
     "profile": st.sampled_from([*sorted(PROFILES), *EVEN, *UNEVEN]),
     "edges": st.sampled_from(["sharp", "dithered"]),
     "period": fields(1, 3),
@@ -214,13 +220,25 @@ def jobs(draw: st.DrawFn) -> dict[str, Any]:
     dimensions = draw(st.sampled_from([2, 3]))
     names = [m if isinstance(m, str) else m["name"] for m in chosen]
     pattern = draw(st.fixed_dictionaries({}, optional=PATTERN))
-    if parts.noise(pattern.get("noise", "phasor")).reads == "value":  # there is no phase
-        pattern = {k: v for k, v in pattern.items() if k != "alignment"}
+    noise = pattern.get("noise", "phasor")
+    keys = frozenset().union(*(kind.keys for kind in NOISES.values()))
+    for key in keys - NOISES[noise].keys:
+        pattern.pop(key, None)
+    spectrum = pattern.get("spectrum", "laminate")
+    if spectrum == "crystal":
+        pattern.pop("reads", None)
+    reads = parts.noise(noise, **{k: pattern[k] for k in ("spectrum", "reads") if k in pattern}).reads
+    cells = noise.startswith("wave-")
+    if reads != "phase":  # there is no phase
+        pattern.pop("alignment", None)
         if _needs_arrows(pattern.get("profile", "pwm")):
             del pattern["profile"]
-    keys = frozenset().union(*(kind.keys for kind in NOISES.values()))
-    for key in keys - NOISES[pattern.get("noise", "phasor")].keys:
-        pattern.pop(key, None)
+    if reads == "power" or cells:
+        pattern["profile"], pattern["edges"] = "pwm", "sharp"
+    if spectrum != "laminate":
+        pattern["edges"] = "sharp"
+    if cells or spectrum in ("crystal", {"sectors": [[0, 40]], "of": "blue"}):
+        pattern["period"] = 1.5
     arrows = _needs_arrows(pattern.get("profile", "pwm"))
     painted = {"orientation": orientations(dimensions, arrows=arrows), "isotropy": fields(0, 1)}
     return {

@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING, ClassVar, Self
 
 import numpy as np
 
+from amslicer.likeness import of_distance
 from amslicer.noise.hyperplanes import DEPTH, DIRECTIONS, PROBABILITY, Hyperplanes
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from numpy.typing import NDArray
 
+    from amslicer.likeness import Likeness
     from amslicer.noise.setting import Setting
     from amslicer.specification import Pattern
 
@@ -31,7 +31,7 @@ class Cellular(Hyperplanes):
     band: ClassVar[None] = None
     keys: ClassVar[frozenset[str]] = frozenset({"directions"})
     # Shares of windows scatter as if the pattern were alike over so many mean chords (tests/test_cellular.py).
-    ALIKE: ClassVar[float] = 2.0
+    ALIKE: ClassVar[float] = 0.5
 
     @classmethod
     def of_pattern(cls, pattern: Pattern, setting: Setting) -> Self:
@@ -54,9 +54,9 @@ class Cellular(Hyperplanes):
         return cls.directed
 
     @property
-    def coherence(self) -> Callable[[Floats], Floats]:
+    def likeness(self) -> Likeness:
         """No wall is between places so far apart with probability exp(-d/p)."""
-        return lambda distance_mm: np.asarray(np.exp(-distance_mm / (self.ALIKE * self.period_mm)))
+        return of_distance(lambda distance_mm: np.asarray(np.exp(-distance_mm / (self.ALIKE * self.period_mm))))
 
 
 @dataclass(frozen=True)
@@ -73,4 +73,4 @@ class Stit(Cellular):
 
     KIND: ClassVar[str] = "stit"
     keys: ClassVar[frozenset[str]] = frozenset({"directions", "probability", "depth"})
-    ALIKE: ClassVar[float] = 4.0
+    ALIKE: ClassVar[float] = 1.5

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
 
+VALUES = 4096  # that stand for all of a table
 STEPS, WAVES, REACH = 1601, 12.0, 8.0  # frequencies up to WAVES/σ, values up to ± REACH σ
 
 
@@ -38,14 +39,11 @@ def above(
 
 def above_of_sum(samples: Floats, count: int) -> tuple[Floats, Floats]:
     """The same of the sum of some independent values, each equally likely to be any of the (N,) samples."""
-    histogram, edges = np.histogram(samples, bins=4096)
-    centres = (edges[1:] + edges[:-1]) / 2
-    used = histogram > 0
-    share, centres = histogram[used] / len(samples), centres[used]
-    share_mean = float(np.sum(share * centres))
+    ordered = np.sort(samples - np.mean(samples))
+    values = ordered[(np.arange(VALUES) * len(ordered) + len(ordered) // 2) // VALUES]  # equally likely ones
+    values = values - values.mean()
 
     def characteristic(u: Floats) -> NDArray[np.complex128]:
-        one = np.array([np.sum(share * np.exp(1j * w * (centres - share_mean))) for w in u])
-        return np.asarray(one**count)
+        return np.array([np.mean(np.exp(1j * w * values)) for w in u]) ** count
 
     return above(characteristic, float(np.std(samples)) * np.sqrt(count))

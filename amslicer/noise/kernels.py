@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -12,6 +12,7 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from amslicer.likeness import Likeness
     from amslicer.noise.alignment import Neighbours
     from amslicer.noise.bands import Band, TabledBand
 
@@ -158,9 +159,9 @@ class Noise(Protocol):
         """The values that shares of all values, 0…1, lie above; of noises whose value or power is read."""
 
     @property
-    def coherence(self) -> Callable[[Floats], Floats] | None:
-        """How alike places are at distances in mm, 1 … 0; None where phases or values of a laminate's band are read, of
-        which more is known (amslicer/spread.py, amslicer/levelspread.py)."""
+    def likeness(self) -> Likeness | None:
+        """How alike places in a box are; None where phases or values of a laminate's band are read, of which more is
+        known (amslicer/spread.py, amslicer/levelspread.py)."""
 
 
 class KernelNoise(Noise, Protocol):

@@ -85,7 +85,7 @@ class Phasor:
         return cls.directed
 
     @property
-    def coherence(self) -> None:
+    def likeness(self) -> None:
         """More is known."""
         return None
 

@@ -61,6 +61,7 @@ class Asked:
     isotropy: Scalar
     seed: int
     dimensions: int
+    turns: bool
     of_noise: Mapping[str, Any]
 
     def of(self, key: str, default: Any) -> Any:
@@ -120,7 +121,8 @@ def sample(
         return np.clip(period(places), *bounds) if callable(period) else np.full(len(places), period)
 
     asked = Asked(
-        name, (x, y, z), period, clipped, bounds, bandwidth, normal, isotropy, seed, dimensions, of_noise
+        name, (x, y, z), period, clipped, bounds, bandwidth, normal, isotropy, seed, dimensions,
+        callable(orientation) or callable(elevation), of_noise,
     )  # fmt: skip
     return SAMPLERS[name](asked)
 
@@ -172,6 +174,7 @@ def sampled_wave(wave: Wave, asked: Asked) -> Complexes:
         amplitude=lambda f: cast("Spectrum", spectrum).amplitude(f, b),
         band=(0.0, 0.0) if form else cast("Spectrum", spectrum).band(b),
         along=(lambda d, f: cast("Directional", spectrum).amplitude_along(d, f, b)) if wave.by_part else None,
+        fading=asked.turns,
         rise=(getattr(spectrum, "dimensions", wave.dimensions) - 1) / 2,
     )  # fmt: skip
 

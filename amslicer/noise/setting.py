@@ -22,6 +22,9 @@ class Setting:
         periods_mm: the shortest and the longest painted period.
         lobes: several directions at a place, in printer axes; None: the painted one.
         isotropy: the lowest that is painted.
+        normal: painted in the middle of the part, printer axes.
+        turns: whether the painted direction is not the same everywhere.
+        painted: whether direction or isotropy are not.
         size_mm: along x and y, of what is to be covered.
         exemplar: (rows, columns) periodic component of the picture to imitate, row 0 lowest; None without one.
         pixel_mm: of the exemplar.
@@ -30,6 +33,9 @@ class Setting:
     periods_mm: tuple[float, float]
     lobes: Lobes | None = None
     isotropy: float = 0.0
+    normal: tuple[float, float, float] = (1.0, 0.0, 0.0)
+    turns: bool = False
+    painted: bool = False
     size_mm: tuple[float, float] = (0.0, 0.0)
     exemplar: Floats | None = None
     pixel_mm: float = 1.0

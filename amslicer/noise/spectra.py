@@ -165,7 +165,8 @@ class Waveform:
     steps: bool
 
 
-# Per period along a direction: plateaus and impulses. As wide as an impulse is, in periods.
+# Per period along a direction: plateaus and impulses. How wide an impulse is, in periods:
+# far from it a wave falls off as 1/distance, so that no two places need have the same value.
 STEPS, IMPULSES, IMPULSE_WIDTH = 2.0, 0.35, 0.06
 SPECTRA: dict[str, Spectrum | Waveform] = {
     "laminate": Laminate(),

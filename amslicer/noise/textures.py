@@ -9,18 +9,19 @@ The ratio follows from the values' own quantiles.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 
+from amslicer.likeness import of_map
 from amslicer.randomphase import MOST_PX, STEPS, Frames, Kind, extended_spot, good_side, quantiles
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from amslicer.likeness import Likeness
     from amslicer.noise.setting import Setting
     from amslicer.specification import Pattern
 
@@ -28,7 +29,6 @@ if TYPE_CHECKING:
 
 SHARES = 4096  # of the table of levels
 LOOKED_AT = 4  # textures that the levels of a renewed one are read from
-DISTANCES = 512  # of how alike places are
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,22 +115,13 @@ class RandomPhase:
         return np.asarray(np.mean(found, axis=0))
 
     @property
-    def coherence(self) -> Callable[[Floats], Floats]:
-        """The largest covariance at a distance, in any direction: of the spot, whose spectrum the texture's is."""
+    def likeness(self) -> Likeness:
+        """By the spot's covariance, which is the texture's."""
         from scipy import fft
 
         power = np.abs(fft.rfft2(self.spot - self.spot.mean())) ** 2
-        covariance = np.abs(fft.irfft2(power, s=self.spot.shape))
-        rows, columns = (np.minimum(np.arange(n), n - np.arange(n)) for n in self.spot.shape)
-        distance = np.hypot(rows[:, None], columns)
-        most = min(self.spot.shape) // 2
-        count = min(DISTANCES, most)
-        ring = np.minimum((distance * (count / most)).astype(int), count)
-        alike = np.zeros(count + 1)
-        np.maximum.at(alike, ring, covariance / covariance[0, 0])
-        alike = np.maximum.accumulate(alike[:count][::-1])[::-1]
-        at = np.arange(count) * (most / count) * self.pixel_mm
-        return lambda d: np.interp(d, at, alike, right=0.0)
+        covariance = fft.irfft2(power, s=self.spot.shape)
+        return of_map(covariance / covariance[0, 0], self.pixel_mm, self.renewal_mm)
 
 
 @dataclass(frozen=True, eq=False)

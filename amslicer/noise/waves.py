@@ -27,6 +27,8 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self, cast
 
 import numpy as np
 
+from amslicer.errors import JobError
+from amslicer.likeness import of_lines
 from amslicer.noise import philox
 from amslicer.noise.bands import Band, TabledBand
 from amslicer.noise.kernels import WORD
@@ -42,10 +44,9 @@ from amslicer.noise.spectra import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from numpy.typing import NDArray
 
+    from amslicer.likeness import Likeness
     from amslicer.noise.setting import Setting
     from amslicer.specification import Pattern
 
@@ -56,6 +57,7 @@ WAVES = 1 << 28  # fourth word of the counters (amslicer/noise/kernels.py)
 SLICES, PARTS, PHASES, SPEEDS, FORMS = range(5)  # their third word: what the random words are for
 # Directions, at the least and times 1/B^(dimensions - 1): a lobe's width apart (MATH: 22 and 300 at B = 0.5).
 DIRECTIONS = {2: (22, 11.0), 3: (300, 75.0)}
+MAX_DIRECTIONS = 20_000  # more take minutes
 LENGTH_PERIODS = 64.0  # of a table: enough frequencies in a laminate's band for values to be Gaussian
 LENGTH_WAVES = 16.0  # or of a broad spectrum, in its longest waves
 SAMPLES_PER_WAVE = 32  # of the shortest: linear interpolation is then within 0.5 %
@@ -69,8 +71,14 @@ EQUATOR = sin(radians(5.0))
 COSINES, ISOTROPIES = 4096, 33  # of the table of weights
 LOBE_NODES = 4  # of the quadrature over the isotropy's spread, per width of the lobe
 PERIOD_STEP = 0.5  # between tables of a painted period, in standard deviations of the laminate's ring
-COHERENT_PERIODS, COHERENCES, FEW_LINES = 40.0, 1001, 32  # of how alike places are
+# Directions, frequencies of each, and lines of both that stand for all where it counts how alike places are.
+MOST_DIRECTIONS, FEW_LINES, MOST_LINES, FAINT = 100, (8, 64), 900, 1e-3
 MAX_TABLE_BYTES = 256 << 20
+PAINTED_BAND = 2.0  # times the bandwidth: 90° in 14 periods change 0.02 % of the pixels, as 360° do
+LEAST_STEP = 1e-3  # between the periods of tables
+LOOKS = 3  # per side of a part, over which amplitudes that depend on the direction are averaged
+ALIKE_TABLES = 0.98  # correlation of tables of neighbouring periods, at the least: mixing them keeps the variance
+WAVEFORM_DIRECTIONS = {2: 22, 3: 40}
 READS = {"phase": "phase", "real": "value", "modulus": "power"}  # the job file's words
 
 
@@ -111,7 +119,9 @@ class Wave:
         spectrum: amplitudes, or a waveform.
         reads: "phase", "value" or "power": materials follow from arg G, Re G or |G|².
         time: how far each wave has travelled, in shortest periods, half of them forth and half back.
-        isotropy: the lowest that is painted; what is expected of windows follows from it, and nothing else.
+        isotropy, normal: the lowest and the first that are painted; what is expected of windows follows from them.
+        painted: whether direction or isotropy change, and weights with them: they make the band wider.
+        turns: whether the painted direction does, so that waves fade before they change sides.
         fourth: another coordinate, in shortest periods: waves move with it at speeds of their own, -1 … 1.
     """
 
@@ -125,6 +135,9 @@ class Wave:
     time: float = 0.0
     fourth: float = 0.0
     isotropy: float = 0.0
+    normal: tuple[float, float, float] = (1.0, 0.0, 0.0)
+    turns: bool = False
+    painted: bool = False
     made_of: ClassVar[str] = "waves"
     keys: ClassVar[frozenset[str]] = frozenset({"directions", "spectrum", "reads", "time", "fourth"})
 
@@ -135,7 +148,8 @@ class Wave:
             periods_mm=setting.periods_mm, bandwidth=pattern.bandwidth, dimensions=pattern.dimensions,
             seed=pattern.seed, directions=pattern.directions or 0, spectrum=make_spectrum(pattern.spectrum),
             reads=cls.read_by(pattern),
-            time=pattern.time, fourth=pattern.fourth, isotropy=setting.isotropy,
+            time=pattern.time, fourth=pattern.fourth, isotropy=setting.isotropy, normal=setting.normal,
+            turns=setting.turns, painted=setting.painted,
         )  # fmt: skip
 
     @classmethod
@@ -152,15 +166,18 @@ class Wave:
 
     def __post_init__(self) -> None:
         if not self.directions:
-            object.__setattr__(self, "directions", default_directions(self.bandwidth, self.dimensions))
+            count = default_directions(self.bandwidth, self.dimensions)
+            if isinstance(self.spectrum, Waveform):
+                count = WAVEFORM_DIRECTIONS[self.dimensions]
+            object.__setattr__(self, "directions", count)
 
     @property
     def band(self) -> Band | TabledBand | None:
         """The frequencies of G; None of waveforms, which have no highest one."""
-        if isinstance(self.spectrum, Laminate):
-            return Band(self.periods_mm, self.bandwidth)
         if isinstance(self.spectrum, Waveform):
             return None
+        if isinstance(self.spectrum, Laminate):
+            return Band(self.periods_mm, min(2.0, PAINTED_BAND * self.bandwidth) if self.painted else self.bandwidth)
         frequency, power = self._line
         return TabledBand(frequency, power, self.periods_mm)
 
@@ -202,7 +219,20 @@ class Wave:
         if shortest == longest:
             return np.array([shortest])
         ratio = 1 + PERIOD_STEP * min(self.bandwidth, 0.5) / sqrt(4 * pi)
+        if not isinstance(self.spectrum, Laminate | Waveform) and not self.by_part:
+            while ratio > 1 + LEAST_STEP and self._likeness_of_tables(ratio) < ALIKE_TABLES:
+                ratio = sqrt(ratio)
         return np.geomspace(shortest, longest, ceil(log(longest / shortest) / log(ratio)) + 1)
+
+    def _likeness_of_tables(self, ratio: float) -> float:
+        """Correlation of the tables of two periods."""
+        spectrum = cast("Spectrum", self.spectrum)
+        low, high = spectrum.band(self.bandwidth)
+        f = np.linspace(low / ratio, high, 20_001)
+        one, other = (
+            spectrum.amplitude(f * k, self.bandwidth) * f ** ((self.dimensions - 1) / 2) for k in (1.0, ratio)
+        )
+        return float(one @ other / sqrt(float(one @ one) * float(other @ other)))
 
     @property
     def samples(self) -> int:
@@ -215,14 +245,14 @@ class Wave:
     @property
     def table_bytes(self) -> int:
         """Of all tables."""
-        return (self.directions if self.by_part else len(self.table_periods_mm)) * self.samples * 8
+        return (len(self._part_modes) if self.by_part else len(self.table_periods_mm)) * self.samples * 8
 
     @cached_property
     def tables(self) -> NDArray[np.complex128]:
         """(R, Nx) T of each period, of mean power 1; or of each part, of the powers `powers`."""
         if isinstance(self.spectrum, Waveform):
             return self._waveform(self.spectrum)[None].astype(np.complex128)
-        modes = self._part_modes() if self.by_part else (self._modes(float(p)) for p in self.table_periods_mm)
+        modes = self._part_modes if self.by_part else (self._modes(float(p)) for p in self.table_periods_mm)
         tables = []
         for order, amplitude, phase in modes:
             spectrum = np.zeros(self.samples, np.complex128)
@@ -235,20 +265,45 @@ class Wave:
         """(R,) mean power of each table."""
         if not self.by_part:
             return np.ones(len(self.tables))
-        return np.array([np.sum(amplitude**2) for _, amplitude, _ in self._part_modes()])
+        return np.array([np.sum(amplitude**2) for _, amplitude, _ in self._part_modes])
 
-    def _part_modes(self) -> list[tuple[Ints, Floats, Floats]]:
-        """As _modes, of each part's middle; the mean of all Σ² is 1."""
+    @cached_property
+    def rows(self) -> Ints:
+        """(N,) which table is each part's; the last one is empty."""
+        used = np.flatnonzero(self._part_amplitudes[1].any(axis=1))
+        rows = np.full(self.directions, len(used))
+        rows[used] = np.arange(len(used))
+        return rows
+
+    @cached_property
+    def _part_amplitudes(self) -> tuple[Ints, Floats]:
+        """Harmonics, and (N, harmonics) amplitudes: √ of the mean power of LOOKS directions of each part."""
         spectrum, period = cast("Directional", self.spectrum), self.periods_mm[0]
         low, high = (f / period * self.length_mm for f in spectrum.band(self.bandwidth))
         order = np.arange(max(1, ceil(low)), int(high) + 1)
         frequency: Floats = np.asarray(order * (period / self.length_mm), np.float64)
         rise = frequency ** ((getattr(spectrum, "dimensions", self.dimensions) - 1) / 2)
-        middle = self.parts.directions(np.full((self.directions, 2), 0.5), np.arange(self.directions))
-        amplitudes = [spectrum.amplitude_along(omega, frequency, self.bandwidth) * rise for omega in middle]
-        scale = sqrt(float(np.mean([np.sum(a**2) for a in amplitudes])))
+        look = (np.arange(LOOKS) + 0.5) / LOOKS
+        shares = np.stack(np.meshgrid(look, look if self.dimensions == 3 else [0.5]), axis=-1).reshape(-1, 2)
+        power = np.zeros((self.directions, len(order)))
+        for share in shares:
+            omegas = self.parts.directions(np.tile(share, (self.directions, 1)), np.arange(self.directions))
+            for part, omega in enumerate(omegas):
+                power[part] += spectrum.amplitude_along(omega, frequency, self.bandwidth) ** 2
+        amplitude = np.sqrt(power / len(shares)) * rise
+        total = float(np.sum(amplitude**2))
+        if not total > 0:
+            raise JobError(
+                "pattern.spectrum: no wave of any direction has an amplitude", hint="widen its band, or its sectors"
+            )
+        return order, amplitude / sqrt(total / self.directions)
+
+    @cached_property
+    def _part_modes(self) -> list[tuple[Ints, Floats, Floats]]:
+        """As _modes, of each part that has power, and of one that has none."""
+        order, amplitudes = self._part_amplitudes
         phase = self._shares(order, 0, PHASES)[:, 0] * (2 * pi)
-        return [(order, a / scale, phase) for a in amplitudes]
+        return [(order, a, phase) for a in [*amplitudes[amplitudes.any(axis=1)], np.zeros(len(order))]]
 
     def _modes(self, period_mm: float) -> tuple[Ints, Floats, Floats]:
         """Harmonics l of the table of a period, their amplitudes with Σ² = 1, and phases."""
@@ -258,14 +313,20 @@ class Wave:
         frequency: Floats = np.asarray(order * (period_mm / self.length_mm), np.float64)
         amplitude = spectrum.amplitude(frequency, self.bandwidth) * frequency ** ((self.dimensions - 1) / 2)
         phase = self._shares(order, 0, PHASES)[:, 0] * (2 * pi)
-        return order, amplitude / sqrt(float(np.sum(amplitude**2))), phase
+        total = float(np.sum(amplitude**2))
+        if not 0 < total < np.inf:
+            raise JobError(
+                f"pattern.spectrum: no wave of a table of {self.length_mm:.4g} mm has an amplitude",
+                hint="widen its band: low and high, width, or the table's frequencies",
+            )
+        return order, amplitude / sqrt(total), phase
 
     @property
     def _line(self) -> tuple[Floats, Floats]:
         """Frequencies (1/mm) and powers of the finest table's waves."""
         if self.by_part:
-            modes = self._part_modes()
-            return modes[0][0] / self.length_mm, np.mean([amplitude**2 for _, amplitude, _ in modes], axis=0)
+            found, amplitudes = self._part_amplitudes
+            return found / self.length_mm, np.mean(amplitudes**2, axis=0)
         order, amplitude, _ = self._modes(self.periods_mm[0])
         return order / self.length_mm, amplitude**2
 
@@ -280,7 +341,7 @@ class Wave:
             wave = height[np.searchsorted(place, x) % count]
         else:
             distance = np.abs((x[:, None] - place + 0.5) % 1 - 0.5) * (self.length_mm / self.periods_mm[1])
-            wave = np.maximum(0.0, 1 - distance / IMPULSE_WIDTH).max(axis=1)
+            wave = 1 / (1 + distance.min(axis=1) / IMPULSE_WIDTH)
         wave = wave - wave.mean()
         return np.asarray(wave / np.sqrt(np.mean(wave**2)))
 
@@ -342,42 +403,40 @@ class Wave:
         """(S, COSINES + 1) w of waves whose direction has the cosine 0 … 1 to the normal, for (S,) isotropies."""
         if not self.directed:  # also where each part has a table of its own
             return np.ones((len(isotropy), COSINES + 1))
-        return lobes(np.linspace(0.0, 1.0, COSINES + 1), isotropy, self.bandwidth, self.dimensions)
+        return lobes(np.linspace(0.0, 1.0, COSINES + 1), isotropy, self.bandwidth, self.dimensions, fading=self.turns)
 
     @property
-    def coherence(self) -> Callable[[Floats], Floats] | None:
-        """|γ| along the sheets, where it lasts longest; None of a laminate's phase or value, of which more is known."""
+    def likeness(self) -> Likeness | None:
+        """By the waves' frequencies and powers; None of a laminate's phase or value, of which more is known."""
         if isinstance(self.spectrum, Laminate) and self.reads != "power":
             return None
-        normal, along = ((1.0, 0, 0), (0, 1.0, 0)) if self.dimensions == 2 else ((0, 0, 1.0), (1.0, 0, 0))
-        directions = self.parts.directions(np.full((self.directions, 2), 0.5), np.arange(self.directions))
-        cosines = np.linspace(0.0, 1.0, COSINES + 1)
-        weight = np.interp(np.abs(directions @ normal), cosines, self.weights(np.array([self.isotropy]))[0]) ** 2
-        if self.by_part:
-            weight = weight * self.powers
-        frequency, power = self._few_lines
-        distance = np.linspace(0.0, COHERENT_PERIODS, COHERENCES) * self.periods_mm[1]
-        phase = 2 * pi * frequency * (self.periods_mm[0] / self.periods_mm[1])
-        across = np.abs(directions @ along)
-        found = np.zeros(COHERENCES)
-        for c, w in zip(across, weight / weight.sum(), strict=True):
-            found += w * (power * np.cos(distance[:, None] * phase * c)).sum(axis=1)
-        # Beyond, slices are independent; until there, it does not fall below what is still to come.
-        alike = np.maximum.accumulate(np.abs(found)[::-1])[::-1]
-        return lambda d: np.interp(d, distance, alike, right=0.0)
+        few = np.unique(np.linspace(0, self.directions - 1, MOST_DIRECTIONS).round().astype(int))
+        part = np.repeat(few, LOOKS)
+        look = np.tile((np.arange(LOOKS) + 0.5) / LOOKS, len(few))
+        directions = self.parts.directions(np.stack([look, look[::-1]], axis=-1), part)
+        cosine = directions @ np.array(self.normal)
+        weight = np.interp(
+            np.abs(cosine), np.linspace(0.0, 1.0, COSINES + 1), self.weights(np.array([self.isotropy]))[0]
+        )
+        directions = directions * np.where(cosine < 0, -1.0, 1.0)[:, None]
+        share = weight**2 * (self.powers[self.rows][part] if self.by_part else 1.0)
+        kept = share > FAINT * share.max()
+        frequency, power = self._few_lines(int(np.clip(MOST_LINES // np.count_nonzero(kept), *FEW_LINES)))
+        waves = (directions[kept, None] * frequency[:, None]).reshape(-1, 3)
+        lines = (share[kept, None] / share[kept].sum() * power).reshape(-1)
+        return of_lines(waves, lines, modulus=self.reads == "power")
 
-    @property
-    def _few_lines(self) -> tuple[Floats, Floats]:
-        """Frequencies (1/mm) and powers, Σ 1, of the finest table, or of a waveform's."""
+    def _few_lines(self, count: int) -> tuple[Floats, Floats]:
+        """Frequencies (1/mm) that stand for about equal powers, and these, Σ 1: of the finest table."""
         if isinstance(self.spectrum, Waveform):
             power = np.abs(np.fft.rfft(self.tables[0].real))[1:] ** 2
-            frequency = np.arange(1, len(power) + 1) / self.length_mm
+            frequency: Floats = np.arange(1, len(power) + 1) / self.length_mm
         else:
             frequency, power = self._line
-        starts = np.unique(np.geomspace(1, len(power), FEW_LINES).astype(int) - 1)
+        until = np.cumsum(power) / power.sum()
+        starts = np.unique(np.searchsorted(until, np.arange(count) / count, side="right"))
         total = np.add.reduceat(power, starts)
-        mean = np.add.reduceat(power * frequency, starts) / np.where(total > 0, total, 1.0)
-        return mean, total / total.sum()
+        return np.add.reduceat(power * frequency, starts) / np.where(total > 0, total, 1.0), total / total.sum()
 
     def levels_of(self, cumulative: NDArray[Any]) -> Floats:
         """The values of Re G, or of |G|², that shares of all values lie above: -∞ (0) for 1, +∞ for 0.
@@ -409,16 +468,17 @@ class Wave:
 def default_directions(bandwidth: float, dimensions: int) -> int:
     """Directions that are no further apart than a lobe is wide."""
     least, per = DIRECTIONS[dimensions]
-    return max(least, ceil(per / bandwidth ** (dimensions - 1)))
+    return min(MAX_DIRECTIONS, max(least, ceil(per / bandwidth ** (dimensions - 1))))
 
 
-def lobes(cosine: Floats, isotropies: Floats, bandwidth: float, dimensions: int) -> Floats:
+def lobes(cosine: Floats, isotropies: Floats, bandwidth: float, dimensions: int, *, fading: bool) -> Floats:
     """(S, C) amplitudes, at most 1, of waves whose direction (or its opposite) has (C,) cosines, 0 … 1, to the normal.
 
     exp(-4π (1 - cos γ)/B²), averaged over ±90° s of the plane or the cap of half-angle 90° s, of both ω and -ω.
 
     Args:
         isotropies: (S,) s, rising: what the normal is spread over grows from each to the next.
+        fading: towards waves across the normal, so that none changes sides at once where it turns.
     """
     theta = np.arccos(np.clip(cosine, 0.0, 1.0))
     width, reach, power = bandwidth / sqrt(4 * pi), 0.0, np.zeros(len(theta))
@@ -434,7 +494,7 @@ def lobes(cosine: Floats, isotropies: Floats, bandwidth: float, dimensions: int)
         rows.append(power)
         reach = end
     amplitude = np.sqrt([row / row.max() for row in rows])
-    edge = np.clip(np.asarray(cosine) / EQUATOR, 0.0, 1.0)
+    edge = np.clip(np.asarray(cosine) / EQUATOR, 0.0, 1.0) if fading else np.ones(len(cosine))
     return np.asarray(np.maximum(0.0, (amplitude - CUT) / (1 - CUT)) * edge**2 * (3 - 2 * edge))
 
 

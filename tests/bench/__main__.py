@@ -52,6 +52,14 @@ def machine() -> str:
     return f"{cpu}, {len(os.sched_getaffinity(0))} cores; {choose_device().label}"
 
 
+def reached(made: dict[str, float]) -> str:
+    """What each tile of 32 pixels has to sum."""
+    for what in ("kernels", "waves"):
+        if what in made:
+            return f"{made[what]:.0f} {what} reach a tile of 32 pixels"
+    return "a value at each pixel"
+
+
 def main() -> None:
     """Measures, then prints."""
     first, end = (192, 256) if "--quick" in sys.argv else (0, "all")
@@ -118,7 +126,7 @@ def table(found: dict[str, Any]) -> Iterator[tuple[str, str]]:
         )
     for name, made in found["noises"].items():
         yield (
-            f"bitmaps, {name}, block of 20 × 20 mm ({made['kernels']:.0f} kernels reach a tile of 32 pixels)",
+            f"bitmaps, {name}, block of 20 × 20 mm ({reached(made)})",
             f"{made['exact']:.0f} Mpx/s at each pixel, {made['lattice']:.0f} on the lattice",
         )
     for part, text in PARTS.items():

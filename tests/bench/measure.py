@@ -17,11 +17,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from PIL import Image
+from scipy import ndimage
 
 import amslicer
 from amslicer import Job, Run
 from amslicer.device import Device
+from amslicer.evaluator import Evaluator
+from amslicer.noise import NOISES
 from amslicer.pipeline import prepare
+from amslicer.waveevaluator import WaveEvaluator
 
 SAMPLES = Path(__file__).resolve().parents[2] / "samples"
 LENS_MM = (100.0, 60.0, 11.0)
@@ -147,12 +152,17 @@ def block_of(device: Device, noise: str, dimensions: int, evaluate: str) -> tupl
     with tempfile.TemporaryDirectory() as folder:
         part = Path(folder) / "block.stl"
         trimesh.creation.box((20, 20, 4)).export(part)
-        content = {
+        content: dict[str, Any] = {
             "printer": "generic-600dpi", "materials": ["a", "b"],
             "pattern": {"noise": noise, "dimensions": dimensions, "evaluate": evaluate},
             "fields": {"ratio": 0.3, "orientation": 30},
         }  # fmt: skip
-        prepared = prepare(amslicer.load_job(content, part))
+        if "exemplar" in NOISES[noise].keys:
+            grain = ndimage.gaussian_filter(np.random.default_rng(7).normal(size=(256, 256)), (4.0, 2.0), mode="wrap")
+            grey = np.rint(255 * (grain - grain.min()) / np.ptp(grain)).astype(np.uint8)
+            Image.fromarray(grey).save(Path(folder) / "grain.png")
+            content["pattern"] |= {"exemplar": str(Path(folder) / "grain.png"), "exemplar_pixel_mm": 0.08}
+        prepared = prepare(amslicer.load_job(content, part, allow_outside=True))
     pattern, layers = prepared.pattern(device), prepared.tiling.layers
     runs = prepared.slicer.runs(layers, 2 * layers)
 
@@ -196,8 +206,13 @@ def noise(name: str, dimensions: str) -> dict[str, Any]:
     with Device() as device:
         _, _, lattice = block_of(device, name, int(dimensions), "lattice")
         pattern, prepared, exact = block_of(device, name, int(dimensions), "exact")
-        lists = evaluator_of(pattern, prepared).lists
-        return {"exact": exact, "lattice": lattice, "kernels": len(lists.entries) / len(lists.tiles)}
+        evaluator = evaluator_of(pattern, prepared)
+        found = {"exact": exact, "lattice": lattice}
+        if isinstance(evaluator, Evaluator):
+            found["kernels"] = len(evaluator.lists.entries) / len(evaluator.lists.tiles)
+        elif isinstance(evaluator, WaveEvaluator):
+            found["waves"] = evaluator.entries_per_tile
+        return found
 
 
 def vector_form(device: Device, evaluator: Any) -> Callable[[int, int], Any]:
