@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 DEFAULT_PRINTER = "generic-600dpi"
 PWM = ("pwm", "symmetric")
 LEAST_WAVE_BANDWIDTH = 0.05  # narrower lobes are finer than the table of their weights
+LEAST_IN_SPACE = 150  # directions by example: about 20° apart
 DIRECTIONS_SHARE = 0.45  # of the default number: with fewer, some places have no wave
 
 OVERRIDES = "overrides"  # what messages call values that did not come from the job file
@@ -368,6 +369,13 @@ def _refuse_directions(spec: JobFile, origin: Origin) -> None:
             ("pattern", "directions"),
             f"pattern.directions: {count}, but {pattern.noise} has at most {FAMILIES_PER_LEVEL} families of walls",
             "3 to 5 show as directions, more make needles",
+        )
+    if "planes" in kind.keys and pattern.dimensions == 3 and count is not None and count < LEAST_IN_SPACE:
+        raise origin.error(
+            ("pattern", "directions"),
+            f"pattern.directions: {count} are too few: in space {pattern.noise} needs {LEAST_IN_SPACE} or more, of which "
+            "a fifth lie near a plane",
+            "leave it out",
         )
     if kind.made_of != "waves" or not kind.follows(pattern):
         return

@@ -11,10 +11,10 @@ import pytest
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from amslicer import block
+from amslicer import block, planereference
 from amslicer.device import Device
 from amslicer.evaluator import ROWS
-from amslicer.noise import hyperplanes, kernels, planereference
+from amslicer.noise import hyperplanes, kernels
 from amslicer.noise.hyperplanes import KINDS, Hyperplanes
 from amslicer.planeevaluator import PlaneEvaluator
 from amslicer.tiles import Tiling, all_tiles, pixel_nodes

@@ -15,6 +15,7 @@ from typing import Any
 
 import meshes
 import numpy as np
+import parts
 import pytest
 from PIL import Image
 from pydantic import ValidationError
@@ -797,3 +798,63 @@ def test_absurd_sizes_are_refused(tmp_path: Path, scale: float) -> None:
     part.write_bytes(meshes.binary_stl(meshes.box()))
     with pytest.raises(JobError, match="too large"):
         prepare(load_job(with_key("part.scale", scale), part=part))
+
+
+# Noises of waves, cells and pictures
+
+
+@pytest.mark.parametrize(
+    ("pattern", "said"),
+    [
+        ({"noise": "wave", "impulses": 4}, "pattern.impulses: 4.0 means nothing to wave noise"),
+        ({"noise": "wave", "alignment": 2}, "pattern.alignment: 2 means nothing to wave noise"),
+        ({"noise": "phasor", "spectrum": "white"}, "pattern.spectrum: \"white\" means nothing to phasor noise"),
+        ({"noise": "wave-cellular", "time": 0.5}, "pattern.time: 0.5 means nothing to wave-cellular noise"),
+        ({"noise": "wave", "reads": "real", "profile": "cyclic"}, "wave noise is read by its values"),
+        ({"noise": "wave", "reads": "modulus", "profile": "square"}, "wave noise is read by its modulus"),
+        ({"noise": "wave", "reads": "modulus", "edges": "dithered"}, "pattern.edges: dithered"),
+        ({"noise": "wave", "spectrum": "web", "edges": "dithered"}, "pattern.edges: dithered"),
+        ({"noise": "wave", "spectrum": "crystal", "reads": "phase"}, "waves of crystal are real"),
+        ({"noise": "wave", "directions": 5}, "pattern.directions: 5 are too few"),
+        ({"noise": "wave-by-example", "exemplar": "g.png", "directions": 40}, "pattern.directions: 40 are too few"),
+        ({"noise": "wave", "bandwidth": 0.02}, "pattern.bandwidth: 0.02, but wave noise has 0.05 or more"),
+        ({"noise": "wave-stit", "directions": 300}, "at most 256 families of walls"),
+        ({"noise": "random-phase"}, "pattern.exemplar: random-phase noise imitates a picture, and none is named"),
+        ({"noise": "wave", "spectrum": "pink"}, "pattern.spectrum: \"pink\" is not a spectrum"),
+        ({"noise": "wave", "spectrum": {"power": -1, "low": 1, "high": 0.5}}, "low is below high"),
+        ({"noise": "wave", "spectrum": {"table": [[0, 1], [0.5, -1]]}}, "needs amplitudes of at least 0"),
+        ({"noise": "wave", "spectrum": {"sectors": [[40, 10]]}}, "the first is below the second"),
+        ({"noise": "wave", "time": 1e300}, "pattern.time"),
+        ({"noise": "asymptotic-spot", "exemplar": "g.png", "exemplar_pixel_mm": 1e-9}, "pattern.exemplar_pixel_mm"),
+    ],
+)  # fmt: skip
+def test_what_means_nothing_to_a_noise_is_refused(pattern: dict[str, Any], said: str) -> None:
+    assert said in refusal({**LEAST, "pattern": pattern}).message
+
+
+@pytest.mark.parametrize(
+    ("pattern", "said"),
+    [
+        ({"noise": "wave", "spectrum": {"table": [[0, 1], [0.001, 0], [0.01, 0]]}}, "has an amplitude"),
+        ({"noise": "wave-cellular", "period": {"gradient": {"axis": "x", "from": 1, "to": 2}}}, "they have one period"),
+        ({"noise": "random-phase", "exemplar": "grain.png", "period": {"gradient": {"axis": "x", "from": 1, "to": 2}}},
+         "renewed along z after one period"),
+        ({"noise": "wave", "spectrum": "web", "period": {"gradient": {"axis": "x", "from": 1, "to": 2}}}, "one period"),
+        ({"noise": "wave", "period": 1e-9}, "between 0.0001 and 1e+07 mm is sliced"),
+        ({"noise": "wave-cellular", "period": 1e-4}, "the job is too large"),
+        ({"noise": "wave", "isotropy": 1, "period": 0.3, "directions": 20_000}, "the job is too large"),
+        ({"noise": "random-phase", "exemplar": "flat.png"}, "shows nothing"),
+        ({"noise": "random-phase", "exemplar": "tiny.png"}, "8 or more a side"),
+        ({"noise": "random-phase", "exemplar": "missing.png"}, "cannot be read"),
+        ({"noise": "random-phase", "exemplar": "../grain.png"}, "lies outside the job file's folder"),
+    ],
+)  # fmt: skip
+def test_noises_that_this_part_or_picture_cannot_have(tmp_path: Path, pattern: dict[str, Any], said: str) -> None:
+    box = parts.box(tmp_path, (40.0, 40.0, 1.0))
+    grey = parts.picture(parts.grain())
+    for name, picture in (("grain", grey), ("flat", np.full((9, 9), 7, np.uint8)), ("tiny", grey[:7])):
+        parts.paint(tmp_path, picture, f"{name}.png")
+    isotropy = pattern.pop("isotropy", 0)
+    with pytest.raises(JobError) as caught:
+        prepare(parts.job(box, isotropy=isotropy, **pattern))
+    assert said in caught.value.message

@@ -30,7 +30,7 @@ class Cellular(Hyperplanes):
     directed: ClassVar[bool] = False
     band: ClassVar[None] = None
     keys: ClassVar[frozenset[str]] = frozenset({"directions"})
-    # Shares of windows scatter as if the pattern were alike over so many mean chords (tests/test_cellular.py).
+    # Shares of windows scatter as if the pattern were alike over so many mean chords (tests/test_likeness.py).
     ALIKE: ClassVar[float] = 0.5
 
     @classmethod
