@@ -373,8 +373,8 @@ def _refuse_directions(spec: JobFile, origin: Origin) -> None:
     if "planes" in kind.keys and pattern.dimensions == 3 and count is not None and count < LEAST_IN_SPACE:
         raise origin.error(
             ("pattern", "directions"),
-            f"pattern.directions: {count} are too few: in space {pattern.noise} needs {LEAST_IN_SPACE} or more, of which "
-            "a fifth lie near a plane",
+            f"pattern.directions: {count} are too few: in space {pattern.noise} needs {LEAST_IN_SPACE} or more, a "
+            "fifth of which lie near a plane",
             "leave it out",
         )
     if kind.made_of != "waves" or not kind.follows(pattern):

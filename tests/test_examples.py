@@ -40,7 +40,9 @@ def samplers(job: Job) -> Iterator[Sampler]:
 
 
 def test_there_is_an_example_of_each() -> None:
-    assert {file.stem for file in EXAMPLES.glob("*.yaml")} >= {"expression", "radial", "planes", "texture"}
+    assert {file.stem for file in EXAMPLES.glob("*.yaml")} >= {
+        "cells", "expression", "grain", "planes", "radial", "texture", "waves",
+    }  # fmt: skip
 
 
 @pytest.mark.parametrize("file", sorted(EXAMPLES.glob("*.yaml")), ids=lambda file: file.stem)
