@@ -173,8 +173,9 @@ def _refuse_periods(painted: Painted) -> None:
     """A painted period is greater than 0 and graded by no more than the kernels' grid serves."""
     shortest, longest = painted.period_bounds_mm
     if shortest > 0 and not (shortest >= MIN_PERIOD_MM and longest <= MAX_SIDE_MM):
+        painted_mm = f"{shortest:.4g}" + ("" if shortest == longest else f" to {longest:.4g}")
         raise JobError(
-            f"pattern.period: the painted period goes from {shortest:.4g} to {longest:.4g} mm; between "
+            f"the job is too large: pattern.period {painted_mm} mm; between "
             f"{MIN_PERIOD_MM:g} and {MAX_SIDE_MM:g} mm is sliced",
             hint="a period is mm from sheet to sheet: usually 0.3 to 10",
         )

@@ -6,6 +6,7 @@ A new field source is one function and one line in FIELDS; a new key is one line
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from copy import deepcopy
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -219,7 +220,7 @@ def jobs(draw: st.DrawFn) -> dict[str, Any]:
     chosen = draw(materials())
     dimensions = draw(st.sampled_from([2, 3]))
     names = [m if isinstance(m, str) else m["name"] for m in chosen]
-    pattern = draw(st.fixed_dictionaries({}, optional=PATTERN))
+    pattern = deepcopy(draw(st.fixed_dictionaries({}, optional=PATTERN)))  # whoever makes a mistake in it changes it
     noise = pattern.get("noise", "phasor")
     keys = frozenset().union(*(kind.keys for kind in NOISES.values()))
     for key in keys - NOISES[noise].keys:

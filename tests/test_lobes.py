@@ -242,15 +242,13 @@ def test_wrong_lobes_are_refused(tmp_path: Path, pattern: dict[str, Any], said: 
 
 
 def test_wrong_lobes_of_samples_are_refused() -> None:
-    with pytest.raises(amslicer.UsageError, match="no direction"):
+    with pytest.raises(amslicer.UsageError, match="means nothing to gabor-isotropic"):
         sample("gabor-isotropic", 0.0, 0.0, lobes=[(0, 1)])
     with pytest.raises(amslicer.UsageError, match="weight above 0"):
         sample("phasor", 0.0, 0.0, lobes=[(0, 1), (90, 0)])
 
 
-@pytest.mark.parametrize(
-    "lobes", [None, 90, [0, 90], [(0, 1, 2)], [("a", 1)], [(0, 1)] * 9, [(float("nan"), 1)]], ids=str
-)
+@pytest.mark.parametrize("lobes", [90, [0, 90], [(0, 1, 2)], [("a", 1)], [(0, 1)] * 9, [(float("nan"), 1)]], ids=str)
 def test_lobes_that_are_none_are_refused(lobes: Any) -> None:
     with pytest.raises(amslicer.UsageError, match="pairs of"):
         sample("phasor", 0.0, 0.0, lobes=lobes)

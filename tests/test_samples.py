@@ -188,6 +188,7 @@ def test_the_plates_job() -> None:
         ],
         "pattern": {
             "noise": "phasor", "dimensions": 2, "period": 1.0, "bandwidth": 0.5, "alignment": 0, "lobes": [],
+            "planes": ["xy"], "spectrum": "laminate", "time": 0.0, "fourth": 0.0,
             "evaluate": "lattice", "profile": "pwm", "edges": "sharp", "seed": 1,
         },
         "fields": {

@@ -18,7 +18,7 @@ from pydantic import TypeAdapter, ValidationError
 from scipy import stats
 from scipy.ndimage import gaussian_filter
 
-from amslicer import JobError
+from amslicer import JobError, randomphase
 from amslicer.fields import PLANNED, FieldSpec, Frame, Inputs, Sampler, open_field
 from amslicer.fields import texture as module
 from amslicer.fields.orientation import Angles
@@ -188,7 +188,7 @@ def test_a_texture_of_a_large_part_is_bounded_and_one_of_a_small_part_is_not_cro
 ) -> None:
     assert sampler(Frame(MINIMUM, np.array([0.3, 0.0, 1.0]))).sides == (63, 63)  # the next product of 3, 5, 7 and 11
     assert module.MOST_PX < 4096
-    assert module._odd_side(module.MOST_PX) == module.MOST_PX
+    assert randomphase.good_side(module.MOST_PX) == module.MOST_PX
     monkeypatch.setattr(module, "MOST_PX", 165)
     field = sampler(Frame(MINIMUM, np.array([1e6, 11.0, 1.0])))
     assert field.sides == (121, 165)
@@ -198,7 +198,7 @@ def test_a_texture_of_a_large_part_is_bounded_and_one_of_a_small_part_is_not_cro
 def test_sides_are_the_next_odd_products_of_small_primes() -> None:
     expected = sorted(3**a * 5**b * 7**c * 11**d for a, b, c, d in product(range(9), range(6), range(5), range(4)))
     for least in (1, 2, 10, 60, 61, 64, 100, 1000, 2500, 3993):
-        assert module._odd_side(least) == next(n for n in expected if n >= least)
+        assert randomphase.good_side(least) == next(n for n in expected if n >= least)
 
 
 # Where it lies

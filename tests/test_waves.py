@@ -9,6 +9,7 @@ import numpy as np
 import parts
 import pytest
 from numpy.typing import NDArray
+from scipy import ndimage
 
 import amslicer
 from amslicer import wavereference
@@ -74,12 +75,14 @@ SPECTRA = {
 
 @pytest.mark.parametrize("name", SPECTRA)
 def test_the_spectrum_is_the_asked_one(tmp_path: Path, name: str) -> None:
-    """Frequency by frequency, 100 directions: within 10 % of the peak. 800 blocks scatter by 3.5 %, twice at a line."""
+    """Frequency by frequency, 100 directions: within 10 % of the peak. 600 blocks scatter by 4 %, three by three
+    frequencies together by half of it."""
     spec = spectrum_of(SPECTRA[name])
     asked = asked_power(spec)
     got = np.mean(
-        [power_of(field(tmp_path, seed=s, spectrum=SPECTRA[name], directions=100).real) for s in range(1, 9)], axis=0
+        [power_of(field(tmp_path, seed=s, spectrum=SPECTRA[name], directions=100).real) for s in range(1, 7)], axis=0
     )
+    got, asked = (ndimage.uniform_filter(power, 3, mode="wrap") for power in (got, asked))
     ring = np.rint(RADIUS * BLOCK * STEP).astype(int).ravel()
     count = np.bincount(ring)
     radial = np.abs(np.bincount(ring, (got - asked).ravel()) / count).max()
@@ -96,15 +99,15 @@ def test_the_spectrums_error_falls_with_the_directions(tmp_path: Path) -> None:
     """As in Fig. 20: L2 error of the power over all frequencies."""
     asked = asked_power(spectrum_of(SPECTRA["gaussian"]))
     errors = []
-    for directions in (5, 10, 20, 50, 100):
+    for directions in (10, 20, 50, 100):
         got = np.mean(
             [power_of(field(tmp_path, seed=s, spectrum=SPECTRA["gaussian"], directions=directions).real)
              for s in (1, 2, 3)], axis=0,
         )  # fmt: skip
         errors.append(float(np.linalg.norm(got - asked) / np.linalg.norm(asked)))
-    print("5, 10, 20, 50, 100 directions: " + ", ".join(f"{100 * e:.1f} %" for e in errors))
+    print("10, 20, 50, 100 directions: " + ", ".join(f"{100 * e:.1f} %" for e in errors))
     assert errors == sorted(errors, reverse=True)
-    assert errors[0] > 5 * errors[-1]
+    assert errors[0] > 4 * errors[-1]
 
 
 @pytest.mark.parametrize(("name", "exponent"), [("white", 0.0), ("blue", 1.0), ("brown", -2.0)])
@@ -265,8 +268,11 @@ def test_ratio_of_values(tmp_path: Path, reads: str, spectrum: str, ratio: float
 @pytest.mark.parametrize("dimensions", [2, 3])
 def test_ratio_of_crystals_and_webs(tmp_path: Path, spectrum: str, ratio: float, dimensions: int) -> None:
     """Their values are far from Gaussian: levels follow from the law of a sum of independent waves."""
-    size = (600, 600, 0.2) if dimensions == 2 else (70, 70, 30)
-    job = wave_job(tmp_path, size, spectrum=spectrum, ratio=ratio, dimensions=dimensions)
+    size = (600, 600, 0.4) if dimensions == 2 else (130, 130, 60)
+    job = parts.job(
+        parts.box(tmp_path, size), noise="wave", spectrum=spectrum, ratio=ratio, dimensions=dimensions,
+        printer={"pitch_um": 500, "layer_um": 500},
+    )  # fmt: skip
     labels = parts.labels(job)
     share = float(np.mean(labels == 1))
     print(f"{spectrum} in {dimensions}D: {share:.4f} of {ratio}")
