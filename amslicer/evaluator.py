@@ -31,6 +31,16 @@ def work_shape(device: Device, nodes: int) -> dict[str, int]:
     return {"TILE": nodes, "ROWS": ROWS, "BLOCK": BLOCK, "VECTOR": vector}
 
 
+def asked_for(
+    device: Device, tiles: int, nodes: int, count: int, some: range | None, needed: Any, out: Any
+) -> tuple[range, Any, Any]:
+    """The tiles, what of them is needed, and the buffer for G of `count` planes, where whoever asks leaves them out."""
+    some = some or range(tiles)
+    if needed is None:
+        needed = device.buffer(np.full((tiles, count), 0xFF, np.uint8))
+    return some, needed, out or device.scratch("field", 8 * count * len(some) * nodes**2)
+
+
 class Evaluator:
     """The kernels of a block of layers, on the device, ready to give G at the planes of nodes in it.
 
@@ -93,10 +103,7 @@ class Evaluator:
             The buffer, float32 [planes][tiles][rows of a tile][real, imaginary][columns of a tile], and each
             tile's number in it.
         """
-        some = some or range(len(self.lists.tiles))
-        out = out or self.device.scratch("field", 8 * count * len(some) * self._nodes**2)
-        if needed is None:
-            needed = self.device.buffer(np.full((len(self.lists.tiles), count), 0xFF, np.uint8))
+        some, needed, out = asked_for(self.device, len(self.lists.tiles), self._nodes, count, some, needed, out)
         if self._waves_at is not None:
             self._enqueue_simple(out, first, count, some, needed)
             return out, np.arange(len(some), dtype=np.uint32)

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from amslicer.evaluator import work_shape
+from amslicer.evaluator import asked_for, work_shape
 from amslicer.generator import DeviceGenerator
 from amslicer.noise.hyperplanes import CELL, WAVE
 
@@ -77,10 +77,7 @@ class PlaneEvaluator:
             The buffer, float32 [planes][tiles][rows of a tile][value, 0][columns of a tile], and each tile's number
             in it.
         """
-        some = some or range(len(self.tiles))
-        out = out or self.device.scratch("field", 8 * count * len(some) * self._nodes**2)
-        if needed is None:
-            needed = self.device.buffer(np.full((len(self.tiles), count), 0xFF, np.uint8))
+        some, needed, out = asked_for(self.device, len(self.tiles), self._nodes, count, some, needed, out)
         if len(some):
             planes, (tiles, families, slices) = self.planes, self._buffers
             self.device.kernel("hyperplanes", work_shape(self.device, self._nodes))(

@@ -14,9 +14,11 @@ from amslicer.fields import PLANNED, SOURCES, FieldSpec, source_name
 from amslicer.fields.source import Number
 from amslicer.grid import MM_PER_INCH
 from amslicer.noise import NOISES
+from amslicer.noise.hyperplanes import DEPTH, DIRECTIONS, PROBABILITY
 from amslicer.noise.lobes import MOST as MAX_LOBES
 from amslicer.noise.spectra import SHAPES as SPECTRUM_SHAPES
 from amslicer.noise.spectra import SpectrumSpec
+from amslicer.noise.waves import MAX_DIRECTIONS
 from amslicer.profiles.waveforms import SHAPES, Blend, Harmonic, ProfileSpec
 from amslicer.storage import INPUTS, JOB_FILE, MANIFEST
 
@@ -25,7 +27,7 @@ Flag = Annotated[bool, Field(strict=True)]
 Positive = Annotated[Number, Field(gt=0)]
 
 MAX_SEED = 2**64 - 1
-MIN_DIRECTIONS, MAX_DIRECTIONS = 4, 20_000  # fewer waves are gratings, more take minutes
+MIN_DIRECTIONS = 4  # fewer waves are gratings
 MAX_TIME = 1e6  # periods: beyond, float64 forgets where waves began
 MAX_DEPTH = 12  # of divisions: cells of the last are then a thousandth of the first
 MIN_IMPULSES = 2  # fewer kernels leave empty places, where there is no phase and the ratio is wrong
@@ -171,13 +173,14 @@ class Pattern(Model):
         default=(), max_length=MAX_LOBES, description="several directions at every place; none: the painted one alone"
     )
     directions: Annotated[Whole, Field(ge=MIN_DIRECTIONS, le=MAX_DIRECTIONS)] | None = Field(
-        default=None, description="directions of waves or walls; default: as many as the bandwidth needs, or 4"
+        default=None,
+        description=f"directions of waves or walls; default: as many as the bandwidth needs, or {DIRECTIONS}",
     )
     probability: Annotated[Number, Field(ge=0, le=1)] | None = Field(
-        default=None, description="that a cell of wave-stit is divided further; default 0.7"
+        default=None, description=f"that a cell of wave-stit is divided further; default {PROBABILITY}"
     )
     depth: Annotated[Whole, Field(ge=0, le=MAX_DEPTH)] | None = Field(
-        default=None, description="how often a cell of wave-stit is divided, at most; default 4"
+        default=None, description=f"how often a cell of wave-stit is divided, at most; default {DEPTH}"
     )
     exemplar: str | None = Field(
         default=None, min_length=1, description="picture to imitate, grey or RGB PNG or TIFF, relative to the job file"

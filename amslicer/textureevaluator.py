@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from amslicer.evaluator import work_shape
+from amslicer.evaluator import asked_for, work_shape
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -73,10 +73,7 @@ class TextureEvaluator:
         self, first: int, count: int, some: range | None = None, needed: Any = None, out: Any = None
     ) -> tuple[Any, NDArray[np.uint32]]:
         """As of amslicer.evaluator.Evaluator: values as the real part of a field."""
-        some = some or range(len(self._tiles))
-        out = out or self.device.scratch("field", 8 * count * len(some) * self._nodes**2)
-        if needed is None:
-            needed = self.device.buffer(np.full((len(self._tiles), count), 0xFF, np.uint8))
+        some, needed, out = asked_for(self.device, len(self._tiles), self._nodes, count, some, needed, out)
         noise, z = self._textures.noise, self._tiling.nodes[2]
         rows, columns = noise.spot.shape
         kernel = self.device.kernel("texture", work_shape(self.device, self._nodes))

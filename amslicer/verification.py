@@ -24,7 +24,7 @@ from amslicer.judgement import (
     ratio_problems,
 )
 from amslicer.levelspread import level_deviation
-from amslicer.likeness import share_deviation
+from amslicer.likeness import PIXEL_SHARE, share_deviation
 from amslicer.lobespread import resonance_deviation
 from amslicer.manifest import LayerRecord, placement_of
 from amslicer.noise import NOISES
@@ -53,8 +53,6 @@ if TYPE_CHECKING:
 # phasor noise of bandwidth B; four of them, and what faces parallel to the sheets cut off, ρ(1-ρ)/N for N
 # sheets across, is as far as an honest stack goes.
 SPREAD, SIGMAS = 0.075, 4.0
-# Pixels that a sheet's edge passes through fall to either side: the share of n pixels scatters by about ½/√n.
-PIXEL_SHARE = 0.5
 LAYERS_AHEAD = 8  # of the one that is added up
 MAX_PROBLEMS = 20  # said in full; more are counted
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from amslicer.evaluator import WAVES_BYTES, work_shape
+from amslicer.evaluator import WAVES_BYTES, asked_for, work_shape
 from amslicer.noise.waves import COSINES, ISOTROPIES
 
 if TYPE_CHECKING:
@@ -116,10 +116,7 @@ class WaveEvaluator:
         self, first: int, count: int, some: range | None = None, needed: Any = None, out: Any = None
     ) -> tuple[Any, NDArray[np.uint32]]:
         """As of amslicer.evaluator.Evaluator."""
-        some = some or range(len(self._tiles))
-        out = out or self.device.scratch("field", 8 * count * len(some) * self._nodes**2)
-        if needed is None:
-            needed = self.device.buffer(np.full((len(self._tiles), count), 0xFF, np.uint8))
+        some, needed, out = asked_for(self.device, len(self._tiles), self._nodes, count, some, needed, out)
         planes = count if self._paint.direction_depends_on_z and not self.planar else 1
         per_tile = 20 * planes * self._nodes**2
         has_paint = self._painted or self._graded

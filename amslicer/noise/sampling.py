@@ -23,9 +23,9 @@ from amslicer.noise.phasor import Phasor
 from amslicer.noise.setting import Setting
 from amslicer.noise.spectra import Directional, Spectrum, SpectrumSpec, Waveform, describe_spectra, make_spectrum
 from amslicer.noise.textures import AsymptoticSpot, RandomPhase
-from amslicer.noise.waves import Wave
+from amslicer.noise.waves import MAX_DIRECTIONS, Wave
 from amslicer.randomphase import sample_bilinear
-from amslicer.specification import MAX_DEPTH, MAX_DIRECTIONS, MAX_SEED, MIN_DIRECTIONS, Pattern
+from amslicer.specification import MAX_DEPTH, MAX_SEED, MIN_DIRECTIONS, Pattern
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
