@@ -9,19 +9,19 @@ import numpy as np
 
 from amslicer.likeness import of_distance
 from amslicer.noise.hyperplanes import DEPTH, DIRECTIONS, PROBABILITY, Hyperplanes
+from amslicer.noise.setting import OneReading, Setting
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from amslicer.likeness import Likeness
-    from amslicer.noise.setting import Setting
     from amslicer.specification import Pattern
 
     Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Cellular(Hyperplanes):
+class Cellular(OneReading, Hyperplanes):
     """Walls along random planes; attributes as of Hyperplanes."""
 
     KIND: ClassVar[str] = "cellular"
@@ -42,16 +42,6 @@ class Cellular(Hyperplanes):
             probability=PROBABILITY if pattern.probability is None else pattern.probability,
             depth=DEPTH if pattern.depth is None else pattern.depth,
         )  # fmt: skip
-
-    @classmethod
-    def read_by(cls, pattern: Pattern) -> str:
-        """Its value."""
-        return cls.reads
-
-    @classmethod
-    def follows(cls, pattern: Pattern) -> bool:
-        """Not a painted direction."""
-        return cls.directed
 
     @property
     def likeness(self) -> Likeness:

@@ -21,6 +21,7 @@ import numpy as np
 
 from amslicer.noise.bands import Band
 from amslicer.noise.kernels import Cells, Kernels
+from amslicer.noise.setting import OneReading, Setting
 from amslicer.noise.turn import turned
 
 if TYPE_CHECKING:
@@ -28,7 +29,6 @@ if TYPE_CHECKING:
 
     from amslicer.noise.kernels import CellLayer, Generator, Paint
     from amslicer.noise.lobes import Lobes
-    from amslicer.noise.setting import Setting
     from amslicer.specification import Pattern
 
     Floats = NDArray[np.float64]
@@ -41,7 +41,7 @@ TRUNCATION_ERROR = 1e-3
 
 
 @dataclass(frozen=True)
-class Phasor:
+class Phasor(OneReading):
     """Phasor noise of one bandwidth.
 
     Attributes:
@@ -73,16 +73,6 @@ class Phasor:
             periods_mm=setting.periods_mm, bandwidth=pattern.bandwidth, dimensions=pattern.dimensions,
             seed=pattern.seed, lobes=setting.lobes, **given,
         )  # fmt: skip
-
-    @classmethod
-    def read_by(cls, pattern: Pattern) -> str:
-        """What of G a job's pattern reads."""
-        return cls.reads
-
-    @classmethod
-    def follows(cls, pattern: Pattern) -> bool:
-        """Whether a job's pattern follows the painted direction."""
-        return cls.directed
 
     @property
     def likeness(self) -> None:

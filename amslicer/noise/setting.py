@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
     from amslicer.noise.lobes import Lobes
+    from amslicer.specification import Pattern
 
     Floats = NDArray[np.float64]
 
@@ -39,3 +40,20 @@ class Setting:
     size_mm: tuple[float, float] = (0.0, 0.0)
     exemplar: Floats | None = None
     pixel_mm: float = 1.0
+
+
+class OneReading:
+    """Base of noises of which the same is read, and that follow the painted direction or not, whatever the job."""
+
+    reads: ClassVar[str]
+    directed: ClassVar[bool]
+
+    @classmethod
+    def read_by(cls, pattern: Pattern) -> str:
+        """What of G a job's pattern reads."""
+        return cls.reads
+
+    @classmethod
+    def follows(cls, pattern: Pattern) -> bool:
+        """Whether a job's pattern follows the painted direction."""
+        return cls.directed

@@ -16,13 +16,13 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self
 import numpy as np
 
 from amslicer.likeness import of_map
+from amslicer.noise.setting import OneReading, Setting
 from amslicer.randomphase import MOST_PX, STEPS, Frames, Kind, extended_spot, good_side, quantiles
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from amslicer.likeness import Likeness
-    from amslicer.noise.setting import Setting
     from amslicer.specification import Pattern
 
     Floats = NDArray[np.float64]
@@ -32,7 +32,7 @@ LOOKED_AT = 4  # textures that the levels of a renewed one are read from
 
 
 @dataclass(frozen=True, eq=False)
-class RandomPhase:
+class RandomPhase(OneReading):
     """Random-phase noise of an exemplar.
 
     Attributes:
@@ -67,16 +67,6 @@ class RandomPhase:
         )
         spot = extended_spot(p, (rows, columns))
         return cls(spot, setting.pixel_mm, setting.periods_mm[0], pattern.dimensions, pattern.seed)
-
-    @classmethod
-    def read_by(cls, pattern: Pattern) -> str:
-        """Its value."""
-        return cls.reads
-
-    @classmethod
-    def follows(cls, pattern: Pattern) -> bool:
-        """Not a painted direction."""
-        return cls.directed
 
     @cached_property
     def _frames(self) -> Frames:
