@@ -48,7 +48,7 @@ def turns_little(painted: Painted, distance_mm: float, degrees: float) -> bool:
 
     Looked at between neighbours of a lattice, whose turns are added up along its axes.
     """
-    if not any(any(sampler.varies) for sampler in painted.orientation.samplers):
+    if not any(painted.orientation.varies):
         return True
     places = sample_places(painted, distance_mm / CALM_STEPS, CALM_SAMPLES)
     steps_mm = (painted.placement.size_mm / places.shape[:3])[: painted.dimensions]

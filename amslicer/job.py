@@ -42,7 +42,9 @@ class Job:
 
     def sources(self) -> Iterator[Source]:
         """Every field of the job that is not a plain number."""
-        return _find_sources(self.spec)
+        from amslicer.fields.source import find_sources
+
+        return find_sources(self.spec)
 
     def digest(self, part_sha256: str, device_label: str, version: str) -> str:
         """SHA-256 over everything that can change a byte of the stack.
@@ -115,43 +117,11 @@ def load_job(
     return Job(spec, Path(part), Inputs(origin.folder, allow_outside=allow_outside), origin.name)
 
 
-def _find_sources(node: Any) -> Iterator[Source]:
-    from pydantic import BaseModel
-
-    from amslicer.fields.source import Source
-
-    if isinstance(node, Source):
-        yield node
-    elif isinstance(node, BaseModel):
-        for key in type(node).model_fields:
-            yield from _find_sources(getattr(node, key))
-    elif isinstance(node, dict | tuple):
-        for child in node.values() if isinstance(node, dict) else node:
-            yield from _find_sources(child)
-
-
 def _dump(spec: JobFile, renamed: Mapping[str, str]) -> dict[str, Any]:
-    content: dict[str, Any] = _with_paths(spec, renamed).model_dump(mode="json", by_alias=True, exclude_none=True)
+    from amslicer.fields.source import rename_paths
+
+    content: dict[str, Any] = rename_paths(spec, renamed).model_dump(mode="json", by_alias=True, exclude_none=True)
     exemplar = spec.pattern.exemplar
     if exemplar is not None:
         content["pattern"]["exemplar"] = renamed.get(exemplar, exemplar)
     return content
-
-
-def _with_paths(node: Any, renamed: Mapping[str, str]) -> Any:
-    """The same specification with its sources' files at other paths."""
-    from pydantic import BaseModel
-
-    from amslicer.fields.source import Source
-
-    if isinstance(node, Source):
-        return node.with_paths(renamed)
-    if isinstance(node, BaseModel):
-        return node.model_copy(
-            update={key: _with_paths(getattr(node, key), renamed) for key in type(node).model_fields}
-        )
-    if isinstance(node, dict):
-        return {key: _with_paths(child, renamed) for key, child in node.items()}
-    if isinstance(node, tuple):
-        return tuple(_with_paths(child, renamed) for child in node)
-    return node

@@ -52,6 +52,8 @@ class Mesh:
     turned: bool  # the whole mesh was inside out
     notes: tuple[str, ...]  # what to tell the user
     rim: Rim | None = None  # of its holes
+    unit_mm: float = 1.0  # length of the file's unit
+    body: Ints | None = None  # (T,) number of the body (connected surface) that each triangle belongs to
 
     @property
     def size_mm(self) -> Floats:
@@ -144,6 +146,8 @@ def _solid(soup: Soup, name: str, sha256: str, unit_mm: float, allow_open: bool)
         turned,
         (*notes, *_unit_notes(float(vertices.max()), unit_mm)),
         surface.rim if len(surface.rim.edges) else None,
+        unit_mm,
+        surface.body,
     )
 
 

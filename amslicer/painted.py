@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from amslicer.errors import JobError
-from amslicer.fields import Frame, Sampler, open_field
+from amslicer.fields import Frame, Sampler, open_field, open_orientation
 from amslicer.fields.orientation import Angles, Orientation, Vector
 from amslicer.profiles.waveforms import BlendShape
 from amslicer.specification import REST, AzimuthElevation, VectorComponents
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from amslicer.envelope import EnvelopePeriods
+    from amslicer.fields.source import Part
     from amslicer.grid import Grid
     from amslicer.job import Job
     from amslicer.placement import Placement
@@ -112,7 +113,7 @@ class Painted:
     @property
     def turns(self) -> bool:
         """Whether the painted direction is not the same everywhere."""
-        return any(low != high for low, high in (sampler.bounds for sampler in self.orientation.samplers))
+        return self.orientation.turns
 
     @property
     def one_direction(self) -> bool:
@@ -122,8 +123,8 @@ class Painted:
     @property
     def direction_depends_on_z(self) -> bool:
         """Whether direction, isotropy or period change from layer to layer."""
-        samplers = (*self.orientation.samplers, self.isotropy, self.period)
-        return any(self.placement.depends_on_z(s.varies) for s in samplers)
+        fields = (self.orientation, self.isotropy, self.period)
+        return any(self.placement.depends_on_z(field.varies) for field in fields)
 
     @property
     def ratio_depends_on_z(self) -> bool:
@@ -284,16 +285,19 @@ def _rest(values: list[Floats | None]) -> int | None:
     return next((m for m, value in enumerate(values) if value is None), None)
 
 
-def open_fields(job: Job, placement: Placement, file_size_mm: Floats) -> Painted:
+def open_fields(
+    job: Job, placement: Placement, file_size_mm: Floats, load_part: Callable[[], Part] | None = None
+) -> Painted:
     """Opens a job's fields over its part.
 
     Args:
         file_size_mm: (3,) bounding box size in the file's axes.
+        load_part: reads the part, for fields that look at more than its box.
 
     Raises:
         JobError: a field file cannot be used.
     """
-    frame = Frame(placement.file_minimum_mm, file_size_mm)
+    frame = Frame(placement.file_minimum_mm, file_size_mm, placement, load_part)
     fields, pattern = job.spec.fields, job.spec.pattern
     if isinstance(fields.ratio, dict):
         named = fields.ratio
@@ -325,4 +329,4 @@ def _open_orientation(job: Job, frame: Frame) -> Orientation:
     if isinstance(spec, VectorComponents):
         x, y, z = (open_field(component, frame, job.inputs) for component in spec.vector)
         return Vector((x, y, z))
-    return Angles(open_field(spec, frame, job.inputs))
+    return open_orientation(spec, frame, job.inputs)

@@ -16,6 +16,7 @@ import numpy as np
 from amslicer.arrows import refuse_lines, sample_places, turns_little
 from amslicer.device import Device
 from amslicer.errors import JobError, UsageError
+from amslicer.fields.source import Part
 from amslicer.grid import Grid, cover
 from amslicer.holes import find_holes
 from amslicer.lattice import Lattice, choose_lattice
@@ -124,7 +125,7 @@ def prepare(job: Job) -> Prepared:
     printer = spec.printer
     grid = cover(placement.size_mm.tolist(), printer.pitch_mm, printer.layer_height_mm, printer.margin_px)
     _refuse_absurd(job, grid, placement)
-    painted = open_fields(job, placement, mesh.size_mm)
+    painted = open_fields(job, placement, mesh.size_mm, lambda: Part(job.part, mesh))
     _refuse_periods(painted)
     _refuse_isotropies(painted)
     if make_profile(spec.pattern.profile).arrows:

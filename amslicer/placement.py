@@ -64,6 +64,16 @@ class Placement:
             out.append(np.asarray(total, np.float64))
         return out[0], out[1], out[2]
 
+    def to_pattern(self, x: Floats, y: Floats, z: Floats) -> tuple[Floats, Floats, Floats]:
+        """Pattern-frame coordinates (mm) of field-frame ones; the arrays broadcast, and stay small as in to_field."""
+        out = []
+        for row, low in zip(self.rotation * self.scale, self.low_mm, strict=True):
+            terms = [
+                side * factor if factor != 1 else side for factor, side in zip(row, (x, y, z), strict=True) if factor
+            ]
+            out.append(np.asarray(sum(terms[1:], terms[0]) - low, np.float64))
+        return out[0], out[1], out[2]
+
     def turn(self, directions: Floats) -> Floats:
         """Printer-axes directions of field-frame ones, (N, 3) to (N, 3)."""
         return directions if np.array_equal(self.rotation, np.eye(3)) else directions @ self.rotation.T

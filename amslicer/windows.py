@@ -270,6 +270,6 @@ class RatioWindows:
 
     def _places(self) -> Floats:
         """(N, 3) places of a window, as shares of its sides, where the painted direction is read."""
-        turns = any(any(sampler.varies) for sampler in self._painted.orientation.samplers)
+        turns = any(self._painted.orientation.varies)
         share = (np.arange(PLACES) + 0.5) / PLACES if turns else np.array([0.5])
         return np.stack(np.meshgrid(share, share, [0.5] if self.planar else share), axis=-1).reshape(-1, 3)

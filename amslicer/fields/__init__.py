@@ -10,10 +10,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from pydantic import Discriminator, Tag
 
-from amslicer.fields.constant import Constant, ConstantSampler
+from amslicer.fields.constant import Constant
 from amslicer.fields.expression import ExpressionSource
 from amslicer.fields.gradient import GradientSource
 from amslicer.fields.image import ImageSource
+from amslicer.fields.opening import open_field, open_orientation
 from amslicer.fields.source import Frame, Inputs, Sampler, Source
 from amslicer.fields.texture import TextureSource
 
@@ -47,13 +48,6 @@ def describe_sources() -> str:
     return "a number, " + ", ".join(f"{{{name}: …}}" for name in SOURCES)
 
 
-def open_field(spec: float | Source, frame: Frame, inputs: Inputs) -> Sampler:
-    """The sampler of a validated field specification over one part."""
-    if isinstance(spec, Source):
-        return spec.open(frame, inputs)
-    return ConstantSampler(float(spec))
-
-
 if TYPE_CHECKING:
     FieldSpec: TypeAlias = float | Source
 else:
@@ -78,5 +72,6 @@ __all__ = [
     "Sampler",
     "Source",
     "open_field",
+    "open_orientation",
     "source_name",
 ]

@@ -7,7 +7,7 @@ Constants, gradients and expressions are plain numbers until they become a direc
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
@@ -25,18 +25,45 @@ SETTLED, LARGEST = 1e-15, 0.75  # a residual of rounding alone; more than half o
 
 
 class Orientation(Protocol):
-    """A field of directions."""
+    """A field of directions.
+
+    Attributes:
+        varies: whether the direction depends on x, y, z (field frame).
+        turns: whether it is not the same everywhere.
+    """
 
     @property
-    def samplers(self) -> tuple[Sampler, ...]:
-        """The scalar fields that it is made of."""
+    def varies(self) -> tuple[bool, bool, bool]: ...
+
+    @property
+    def turns(self) -> bool: ...
 
     def normals(self, x: Floats, y: Floats, z: Floats) -> Floats:
         """(N, 3) unit normals in the part's file axes at (N,) field-frame points."""
 
 
+class OfSamplers:
+    """Directions made of scalar fields: they vary and turn where one of these does."""
+
+    @property
+    def samplers(self) -> tuple[Sampler, ...]:
+        """The scalar fields."""
+        raise NotImplementedError
+
+    @property
+    def varies(self) -> tuple[bool, bool, bool]:
+        """Along the axes that any of the fields varies along."""
+        x, y, z = (any(sampler.varies[axis] for sampler in self.samplers) for axis in range(3))
+        return x, y, z
+
+    @property
+    def turns(self) -> bool:
+        """Whether the bounds of any of the fields are apart."""
+        return any(low != high for low, high in (sampler.bounds for sampler in self.samplers))
+
+
 @dataclass(frozen=True)
-class Angles:
+class Angles(OfSamplers):
     """Azimuth from +x towards +y and elevation above the xy plane, both fields in degrees.
 
     Attributes:
@@ -60,7 +87,7 @@ class Angles:
 
 
 @dataclass(frozen=True)
-class Vector:
+class Vector(OfSamplers):
     """Three components along the file's axes, of any length; where all are 0, the direction is +x."""
 
     components: tuple[Sampler, Sampler, Sampler]
@@ -74,11 +101,62 @@ class Vector:
         """(N, 3) unit normals in the part's file axes at (N,) field-frame points."""
         values, weights = joint_taps(self.components, x, y, z)
         vectors = np.stack(values, axis=-1)
-        # The largest component first: the length of (1e-200, 0, 0) is not 0, that of (1e200, 0, 0) not infinite.
-        largest = np.abs(vectors).max(axis=-1, keepdims=True)
-        zero = largest == 0
-        vectors = np.where(zero, (1.0, 0.0, 0.0), vectors / np.where(zero, 1.0, largest))
-        return _line_mean(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True), weights)
+        return _line_mean(unit_vectors(vectors), weights)
+
+
+@dataclass(frozen=True, eq=False)
+class Lines:
+    """Directions by a function of the place, which has seen to it that lines are never averaged as numbers.
+
+    Attributes:
+        function: (N, 3) vectors along the file's axes, of any length, at (N,) field-frame coordinates; where one is 0,
+            the direction is +x. Their sign means nothing.
+        varies: whether they depend on x, y, z.
+    """
+
+    function: Callable[[Floats, Floats, Floats], Floats]
+    varies: tuple[bool, bool, bool] = (True, True, True)
+
+    @property
+    def turns(self) -> bool:
+        """Wherever they may vary."""
+        return any(self.varies)
+
+    def normals(self, x: Floats, y: Floats, z: Floats) -> Floats:
+        """(N, 3) unit normals in the part's file axes at (N,) field-frame points."""
+        return unit_vectors(self.function(x, y, z))
+
+
+def unit_vectors(vectors: Floats) -> Floats:
+    """(…, 3) of length 1, of vectors of any length; +x for those of none."""
+    # The largest component first: the length of (1e-200, 0, 0) is not 0, that of (1e200, 0, 0) not infinite.
+    largest = np.abs(vectors).max(axis=-1, keepdims=True)
+    zero = largest == 0
+    scaled = np.where(zero, (1.0, 0.0, 0.0), vectors / np.where(zero, 1.0, largest))
+    unit: Floats = scaled / np.linalg.norm(scaled, axis=-1, keepdims=True)
+    return unit
+
+
+# Components of a symmetric tensor, as arrays of six hold them.
+TENSOR = ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (0, 2))
+
+
+def tensors_of(vectors: Floats) -> Floats:
+    """(N, 6) components xx, yy, zz, xy, yz, xz of n nᵀ for (N, 3) unit vectors: lines that may be averaged."""
+    return np.stack([vectors[..., i] * vectors[..., j] for i, j in TENSOR], axis=-1)
+
+
+def principal_lines(tensors: Floats, which: int = 1) -> Floats:
+    """(N, 3) unit eigenvectors of (N, 6) symmetric tensors xx, yy, zz, xy, yz, xz.
+
+    Args:
+        which: 1: of the largest eigenvalue, 2: of the middle one, 3: of the smallest.
+    """
+    matrix = np.empty((*tensors.shape[:-1], 3, 3))
+    for k, (i, j) in enumerate(TENSOR):
+        matrix[..., i, j] = matrix[..., j, i] = tensors[..., k]
+    found: Floats = np.linalg.eigh(matrix)[1][..., :, 3 - which]
+    return found
 
 
 def joint_taps(samplers: Sequence[Sampler], x: Floats, y: Floats, z: Floats) -> tuple[list[Floats], Floats]:

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import stat
-from collections.abc import Hashable, Mapping
+from collections.abc import Callable, Hashable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Protocol
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Protocol
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
@@ -15,6 +15,10 @@ from amslicer.errors import JobError
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
+
+    from amslicer.fields.orientation import Orientation
+    from amslicer.mesh import Mesh
+    from amslicer.placement import Placement
 
     Floats = NDArray[np.float64]
 
@@ -55,16 +59,46 @@ class Sampler(Protocol):
 
 
 @dataclass(frozen=True)
+class Part:
+    """The part that fields are painted on, for sources that look at more than its box.
+
+    Attributes:
+        path: the mesh file.
+        mesh: what it holds; its vertices are in the field frame.
+    """
+
+    path: Path
+    mesh: Mesh
+
+
+@dataclass(frozen=True)
 class Frame:
     """The part's box in its file: what "stretched over the part" means.
 
     Attributes:
-        minimum_mm: (3,) bounding box minimum in file coordinates, mm.
-        size_mm: (3,) bounding box size in the file's axes, mm.
+        minimum_mm: (3,) bounding box minimum in file coordinates, mm; of fields in bed coordinates, in the printer's.
+        size_mm: (3,) bounding box size in the file's axes (or the printer's), mm.
+        placement: where the part stands; None where only its box is known.
+        load_part: reads the part, for sources that need more than its box.
     """
 
     minimum_mm: Floats
     size_mm: Floats
+    placement: Placement | None = None
+    load_part: Callable[[], Part] | None = None
+
+    def part(self, source: str) -> Part:
+        """The part itself.
+
+        Args:
+            source: who asks, for the message.
+
+        Raises:
+            JobError: only the part's box is known.
+        """
+        if self.load_part is None:
+            raise JobError(f"a field by {source} needs the part's mesh, and only its box is known here")
+        return self.load_part()
 
     def nearest(self, axis: int, position: Floats) -> Floats:
         """One coordinate (field frame) of the box's nearest points: beyond the box, fields stay as at its sides."""
@@ -123,21 +157,83 @@ class Inputs:
 
 
 class Source(BaseModel):
-    """Base of the field sources' specifications, as written in the job file."""
+    """Base of the field sources' specifications, as written in the job file.
+
+    A source of numbers has `open`, one of directions `open_orientation`; some have both. A number where a direction is
+    asked for is its angle in degrees; a direction where a number is asked for is refused by `open`.
+    """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
+    frame: Literal["part", "bed"] | None = Field(
+        default=None,
+        description="part (the default): follows the part when it is turned, scaled and moved; bed: the printer's axes",
+    )
+
     def open(self, frame: Frame, inputs: Inputs) -> Sampler:
-        """The sampler over a part with this frame."""
+        """The sampler over a part with this frame.
+
+        Raises:
+            JobError: a file cannot be used, or the source makes directions and no numbers.
+        """
         raise NotImplementedError
 
+    def open_orientation(self, frame: Frame, inputs: Inputs) -> Orientation:
+        """The directions over a part with this frame; of plain numbers, angles in degrees.
+
+        Raises:
+            JobError: a file cannot be used.
+        """
+        from amslicer.fields.orientation import Angles
+
+        return Angles(self.open(frame, inputs))
+
+    @property
+    def needs_part(self) -> bool:
+        """Whether it looks at more of the part than its box."""
+        return any(source.needs_part for source in self.nested())
+
+    def nested(self) -> Iterator[Source]:
+        """The sources that it is made of, directly."""
+        for key in type(self).model_fields:
+            yield from find_sources(getattr(self, key))
+
     def paths(self) -> tuple[str, ...]:
-        """The files that the specification names."""
-        return ()
+        """The files that the specification names, its parts' included."""
+        return tuple(path for source in self.nested() for path in source.paths())
 
     def with_paths(self, renamed: Mapping[str, str]) -> Source:
         """The same source with its files at other paths."""
-        return self
+        return self.model_copy(
+            update={key: rename_paths(getattr(self, key), renamed) for key in type(self).model_fields}
+        )
+
+
+def find_sources(node: Any) -> Iterator[Source]:
+    """The outermost sources in a specification, or in a value of it."""
+    if isinstance(node, Source):
+        yield node
+    elif isinstance(node, BaseModel):
+        for key in type(node).model_fields:
+            yield from find_sources(getattr(node, key))
+    elif isinstance(node, dict | tuple):
+        for child in node.values() if isinstance(node, dict) else node:
+            yield from find_sources(child)
+
+
+def rename_paths(node: Any, renamed: Mapping[str, str]) -> Any:
+    """The same specification with its sources' files at other paths."""
+    if isinstance(node, Source):
+        return node.with_paths(renamed)
+    if isinstance(node, BaseModel):
+        return node.model_copy(
+            update={key: rename_paths(getattr(node, key), renamed) for key in type(node).model_fields}
+        )
+    if isinstance(node, dict):
+        return {key: rename_paths(child, renamed) for key, child in node.items()}
+    if isinstance(node, tuple):
+        return tuple(rename_paths(child, renamed) for child in node)
+    return node
 
 
 def blend(t: Floats, a: float, b: float) -> Floats:
