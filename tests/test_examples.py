@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -12,9 +11,13 @@ import pytest
 from numpy.typing import NDArray
 
 from amslicer import Job, load_job
-from amslicer.fields import Frame, Sampler, open_field
-from amslicer.fields.source import Inputs
+from amslicer.errors import JobError
+from amslicer.fields import Frame, open_field, open_orientation
+from amslicer.fields.source import Inputs, Part
+from amslicer.mesh import read_mesh
+from amslicer.meshfiles import READERS
 from amslicer.pipeline import prepare
+from amslicer.placement import place
 
 Floats = NDArray[np.float64]
 
@@ -34,9 +37,14 @@ def at(spec: Any, job: Job, *places: tuple[float, float, float]) -> list[float]:
     return np.broadcast_to(field.scalar(*points.T), len(points)).tolist()
 
 
-def samplers(job: Job) -> Iterator[Sampler]:
-    for source in job.sources():
-        yield open_field(source, FRAME, job.inputs)
+def part_of(example: Path, folder: Path) -> Path:
+    """The part that an example brings, or a box around the file's origin."""
+    own = [file for suffix in READERS for file in [example.with_suffix(f".{suffix}")] if file.is_file()]
+    if own:
+        return own[0]
+    part = folder / "part.stl"
+    part.write_bytes(meshes.binary_stl(meshes.box((20.0, 20.0, 5.0), (-10.0, -10.0, 0.0))))
+    return part
 
 
 def test_there_is_an_example_of_each() -> None:
@@ -47,18 +55,27 @@ def test_there_is_an_example_of_each() -> None:
 
 @pytest.mark.parametrize("file", sorted(EXAMPLES.glob("*.yaml")), ids=lambda file: file.stem)
 def test_every_example_loads_and_opens(file: Path, tmp_path: Path) -> None:
-    part = tmp_path / "part.stl"
-    part.write_bytes(meshes.binary_stl(meshes.box((20.0, 20.0, 5.0), (-10.0, -10.0, 0.0))))
-    job = load_job(file, part=part)
+    job = load_job(file, part=part_of(file, tmp_path))
     assert list(job.sources())
-    points = np.random.default_rng(0).uniform(0, 1, (500, 3)) * FRAME.size_mm
-    for sampler in samplers(job):
+    mesh = read_mesh(job.part)
+    placement, _ = place(mesh)
+    frame = Frame(mesh.minimum_mm, mesh.size_mm, placement, lambda: Part(job.part, mesh))
+    points = np.random.default_rng(0).uniform(0, 1, (500, 3)) * mesh.size_mm
+    for source in job.sources():
+        try:
+            sampler = open_field(source, frame, job.inputs)
+        except JobError:  # a source of directions alone
+            normals = open_orientation(source, frame, job.inputs).normals(*points.T)
+            np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1)
+            assert np.ptp(normals, axis=0).max() > 0.1
+            continue
         found = np.broadcast_to(sampler.scalar(*points.T), 500)
         assert np.isfinite(found).all()
         assert sampler.bounds[0] <= found.min() < found.max() <= sampler.bounds[1]
     prepared = prepare(job)
-    ratio = prepared.painted.ratio_map(prepared.grid, prepared.grid.layers // 2)
-    assert 0 <= ratio.min() < ratio.max() <= 1
+    for layer in {0, prepared.grid.layers // 2, prepared.grid.layers - 1}:
+        ratio = prepared.painted.ratio_map(prepared.grid, layer)
+        assert 0 <= ratio.min() <= ratio.max() <= 1
 
 
 def test_expression() -> None:
