@@ -40,6 +40,29 @@ class Job:
         """Names, in the order of the profile."""
         return tuple(m.name for m in self.spec.materials)
 
+    @property
+    def printed(self) -> tuple[str, ...]:
+        """Names of the materials that are deposited: all but the one that stands for nothing."""
+        from amslicer.specification import VOID
+
+        return tuple(name for name in self.materials if name != VOID)
+
+    @property
+    def needs_part(self) -> bool:
+        """Whether what is asked of a pixel cannot be told from the part's box alone."""
+        regions = self.spec.skin is not None or bool(self.spec.bodies) or self.printed != self.materials
+        return regions or any(source.needs_part for source in self.sources())
+
+    @property
+    def part_copy(self) -> str | None:
+        """Where the stack keeps the part's file, of jobs that cannot be verified without it."""
+        from amslicer.storage import INPUTS
+
+        if not self.needs_part:
+            return None
+        names = {Path(path).name for path in self.input_paths()}
+        return f"{INPUTS}/{'part-' if self.part.name in names else ''}{self.part.name}"
+
     def sources(self) -> Iterator[Source]:
         """Every field of the job that is not a plain number."""
         from amslicer.fields.source import find_sources
@@ -52,7 +75,7 @@ class Job:
         The job counts as it was written, names and colours included; where its field files lie and how the job is
         computed (threads, range of layers) do not.
         """
-        renamed = {path: hashlib.sha256(self.inputs.read(path)).hexdigest() for path in self.input_paths()}
+        renamed = {path: hashlib.sha256(self.inputs.map(path)).hexdigest() for path in self.input_paths()}
         content = {
             "job": _dump(self.spec, renamed),
             "part": part_sha256,
@@ -104,11 +127,13 @@ def load_job(
         UsageError: an override cannot be applied.
     """
     from amslicer.fields.source import Inputs
-    from amslicer.jobfile import Origin, validate
+    from amslicer.jobfile import Origin, refuse_depth, validate
     from amslicer.yamlfile import read_yaml
 
     if isinstance(fields, Mapping):
-        origin, content = Origin("job", Path.cwd()), deepcopy(dict(fields))
+        origin = Origin("job", Path.cwd())
+        refuse_depth(fields, origin)
+        content = deepcopy(dict(fields))
     else:
         file = Path(fields)
         content, places = read_yaml(file, "job file")

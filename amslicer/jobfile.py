@@ -23,13 +23,12 @@ LEAST_WAVE_BANDWIDTH = 0.05  # narrower lobes are finer than the table of their 
 LEAST_IN_SPACE = 150  # directions by example: about 20° apart
 DIRECTIONS_SHARE = 0.45  # of the default number: with fewer, some places have no wave
 
+MOST_NESTED = 8  # fields in fields: more cannot be read
+BY_BODY = "per_body"  # a mapping by names of the user's
+
 OVERRIDES = "overrides"  # what messages call values that did not come from the job file
 # Keys and values of the job file's language that this version does not know at all.
-UNBUILT_KEYS = (
-    "isotropy_model",
-    "skin",
-    "bodies",
-)
+UNBUILT_KEYS = ("isotropy_model",)
 
 
 @dataclass
@@ -75,6 +74,7 @@ def validate(content: dict[str, Any], origin: Origin, overrides: Mapping[str, An
     content.setdefault("printer", DEFAULT_PRINTER)
     for key, value in overrides.items():
         _override(content, tuple(key.split(".")), value, origin)
+    refuse_depth(content, origin)
     content["printer"] = _expand_printer(content["printer"], origin)
     _take_printers_format(content)
     try:
@@ -83,7 +83,41 @@ def validate(content: dict[str, Any], origin: Origin, overrides: Mapping[str, An
         raise _explain(error, content, origin) from None
     _refuse_many_materials(spec, origin)
     _refuse_contradictions(spec, origin)
+    _refuse_regions(spec, origin)
     return spec
+
+
+def refuse_depth(content: Mapping[str, Any], origin: Origin) -> None:
+    """Fields in fields in fields, before anything walks through them by recursion.
+
+    Raises:
+        JobError, UsageError: more than MOST_NESTED of them, or any mappings and lists nested deeper than a file's.
+    """
+    from amslicer.fields import SOURCES
+    from amslicer.yamlfile import MAX_DEPTH
+
+    waiting: list[tuple[Any, KeyPath, int]] = [(content, (), 0)]
+    seen: set[tuple[int, int, int]] = set()  # what stands in several places is looked at once per depth
+    while waiting:
+        node, path, fields = waiting.pop()
+        if not isinstance(node, Mapping | list | tuple):
+            continue
+        known = (id(node), len(path), fields)
+        if known in seen:
+            continue
+        seen.add(known)
+        is_field = isinstance(node, Mapping) and path[-1:] != (BY_BODY,) and not SOURCES.keys().isdisjoint(node)
+        fields += is_field
+        if fields > MOST_NESTED:
+            key = ".".join(map(str, path))
+            raise origin.error(
+                path, f"{key if len(key) <= 80 else key[:79] + '…'}: fields are nested more than {MOST_NESTED} deep",
+                "combine fewer fields, or paint the result as a picture",
+            )  # fmt: skip
+        if len(path) > MAX_DEPTH:
+            raise origin.error(path[:2], f"nested deeper than {MAX_DEPTH} levels", "`amslicer init` writes an example")
+        children = node.items() if isinstance(node, Mapping) else enumerate(node)
+        waiting.extend((child, (*path, key), fields) for key, child in children)
 
 
 def _override(content: dict[str, Any], path: tuple[str, ...], value: Any, origin: Origin) -> None:
@@ -191,6 +225,7 @@ def _real_path(loc: tuple[int | str, ...], content: Any) -> KeyPath:
             and isinstance(node, dict)
             and step in node
             and not named
+            and path[-1:] != [BY_BODY]  # whose keys are names of bodies
         ):
             named = True
         elif (isinstance(node, dict) and step in node) or (isinstance(node, list) and isinstance(step, int)):
@@ -235,13 +270,36 @@ def _source_hint(value: Any) -> str | None:
 
 def _refuse_many_materials(spec: JobFile, origin: Origin) -> None:
     """More materials than the printer has."""
+    from amslicer.specification import VOID
+
     most = spec.printer.max_materials
-    if most is not None and len(spec.materials) > most:
+    printed = [material for material in spec.materials if material.name != VOID]
+    if most is not None and len(printed) > most:
         raise origin.error(
             ("materials",),
-            f"materials: {len(spec.materials)} of them, but {spec.printer.name or 'the printer'} prints at most {most}",
+            f"materials: {len(printed)} of them, but {spec.printer.name or 'the printer'} prints at most {most}",
             "leave some out, or choose another printer (`amslicer printers` lists them)",
         )
+
+
+def _refuse_regions(spec: JobFile, origin: Origin) -> None:
+    """Skins and bodies of materials that the job does not have."""
+    import difflib
+
+    from amslicer.specification import VOID
+
+    names = [material.name for material in spec.materials]
+    asked: list[tuple[KeyPath, str]] = [(("skin", "material"), spec.skin.material)] if spec.skin else []
+    asked += [(("bodies", name, "material"), body.material) for name, body in spec.bodies.items() if body.material]
+    for path, name in asked:
+        if name not in names:
+            near = difflib.get_close_matches(name, names, n=1)
+            hint = f"did you mean {near[0]}?" if near else f"the materials are {', '.join(names)}"
+            if name == VOID:
+                hint = f"list it among the materials, too: [{', '.join((*names, VOID))}]"
+            raise origin.error(path, f"{'.'.join(map(str, path))}: there is no material '{name}'", hint)
+    if spec.skin and spec.skin.material == VOID:
+        raise origin.error(("skin", "material"), f"skin.material: a skin of {VOID} would print nothing", None)
 
 
 def _refuse_contradictions(spec: JobFile, origin: Origin) -> None:
@@ -399,21 +457,24 @@ def _refuse_ratios(spec: JobFile, origin: Origin) -> None:
     """Whether each material has exactly one share."""
     import difflib
 
-    from amslicer.specification import REST
+    from amslicer.fields.materialmap import MaterialMap
+    from amslicer.specification import REST, shares_by_material
 
     painted, names = spec.fields.ratio, [material.name for material in spec.materials]
     path: KeyPath = ("fields", "ratio")
-    ratio: Mapping[str, Any]
-    if isinstance(painted, dict):
-        ratio = painted
-    else:
-        if len(names) > 2:
-            raise origin.error(
-                path,
-                f"fields.ratio: is one field, but there are {len(names)} materials",
-                f"give a ratio per material: {{{', '.join(f'{name}: …' for name in names[:-1])}, {names[-1]}: {REST}}}",
-            )
-        ratio = {names[0]: painted, names[1]: REST}
+    if isinstance(painted, MaterialMap):
+        try:
+            painted.colors_of([(material.name, material.color) for material in spec.materials])
+        except JobError as error:
+            raise origin.error((*path, "colors"), f"fields.ratio: {error.message}", error.hint) from None
+        return
+    ratio = shares_by_material(painted, names)
+    if ratio is None:
+        raise origin.error(
+            path,
+            f"fields.ratio: is one field, but there are {len(names)} materials",
+            f"give a ratio per material: {{{', '.join(f'{name}: …' for name in names[:-1])}, {names[-1]}: {REST}}}",
+        )
     for name in ratio:
         if name not in names:
             near = difflib.get_close_matches(name, names, n=1)

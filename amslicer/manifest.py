@@ -12,6 +12,7 @@ import numpy as np
 from amslicer.errors import StorageError
 from amslicer.grid import Grid
 from amslicer.placement import Placement
+from amslicer.specification import VOID
 from amslicer.storage import JOB_FILE, MANIFEST, storage_errors
 
 if TYPE_CHECKING:
@@ -24,12 +25,22 @@ FORMAT, VERSION = "amslicer-stack", 1
 
 @dataclass(frozen=True)
 class LayerRecord:
-    """One written layer: index, mid-height, and per material pixels and SHA-256 of its file."""
+    """One written layer: index, mid-height, and per material pixels and SHA-256 of its file.
+
+    Attributes:
+        void_px: solid pixels where nothing is deposited; None where the job has no such material.
+    """
 
     index: int
     z_mm: float
     pixels: dict[str, int]
     sha256: dict[str, str]
+    void_px: int | None = None
+
+    @property
+    def solid_px(self) -> int:
+        """Pixels within the part."""
+        return sum(self.pixels.values()) + (self.void_px or 0)
 
 
 def describe_stack(
@@ -50,9 +61,9 @@ def describe_stack(
         overlap_px: pixels that overlapping bodies have in common, those of three of them twice.
     """
     grid, placement, mesh = prepared.grid, prepared.placement, prepared.mesh
-    materials = prepared.job.spec.materials
-    pixels = [sum(r.pixels[m.name] for r in records) for m in materials]
-    solid = sum(pixels)
+    job = prepared.job
+    solid = sum(record.solid_px for record in records)
+    wanted = dict(zip(job.materials, asked, strict=True))
     high = placement.origin_mm + placement.size_mm
     return {
         "format": FORMAT,
@@ -63,15 +74,17 @@ def describe_stack(
         "device": device,
         "part": {
             "file": mesh.file,
+            **({"copy": job.part_copy, "settings": job.spec.part.model_dump(mode="json")} if job.part_copy else {}),
             "sha256": mesh.sha256,
             "bbox_mm": [_floats(placement.origin_mm), _floats(high)],
             "file_bbox_mm": [_floats(mesh.minimum_mm), _floats(mesh.minimum_mm + mesh.size_mm)],
             "transform": placement.transform(),
             "turned_over": mesh.turned,
-            "volume_mm3": mesh.volume_mm3 * placement.scale**3,
+            "volume_mm3": prepared.volume_mm3,
             "surface_mm2": _surface_mm2(prepared),
             "overlap_mm3": overlap_px * grid.voxel_mm3,
             **_holes(prepared),
+            **_relief(prepared),
         },
         "grid": {
             "width_px": grid.width_px,
@@ -86,15 +99,24 @@ def describe_stack(
             {
                 "name": material.name,
                 "color": material.color,
-                "pixels": count,
-                "volume_mm3": count * grid.voxel_mm3,
-                "ratio": count / solid if solid else 0.0,
-                "ratio_asked": wanted / solid if solid else 0.0,
+                **_amount(sum(r.pixels[material.name] for r in records), wanted[material.name], solid, grid),
             }
-            for material, count, wanted in zip(materials, pixels, asked, strict=True)
+            for material in job.spec.materials
+            if material.name in job.printed
         ],
+        **({VOID: _amount(sum(r.void_px or 0 for r in records), wanted[VOID], solid, grid)} if VOID in wanted else {}),
         "solid_pixels": solid,
-        "layers": [vars(record) for record in records],
+        "layers": [{key: v for key, v in vars(record).items() if v is not None} for record in records],
+    }
+
+
+def _amount(pixels: int, asked: float, solid: int, grid: Grid) -> dict[str, Any]:
+    """How much there is of a material, or of nothing."""
+    return {
+        "pixels": pixels,
+        "volume_mm3": pixels * grid.voxel_mm3,
+        "ratio": pixels / solid if solid else 0.0,
+        "ratio_asked": asked / solid if solid else 0.0,
     }
 
 
@@ -110,6 +132,16 @@ def _holes(prepared: Prepared) -> dict[str, Any]:
         low, high = (bottom + prepared.grid.z_mm(layer) for layer in (found.first_layer, found.last_layer))
         empty |= {"layers": found.layers, "z_mm": [low, high]}
     return {"open": empty}
+
+
+def _relief(prepared: Prepared) -> dict[str, Any]:
+    """The part's volume before its surface was moved, and that of the shell which the pattern fills in part."""
+    moved = prepared.moved
+    if moved is None:
+        return {}
+    shell = {} if moved.shell_mm3 is None else {"shell_mm3": moved.shell_mm3}
+    plain = prepared.mesh.volume_mm3 * prepared.placement.scale**3
+    return {"relief": {"triangles": len(moved.surface.triangles), "plain_volume_mm3": plain, **shell}}
 
 
 def _surface_mm2(prepared: Prepared) -> float:
@@ -173,4 +205,4 @@ def placement_of(manifest: dict[str, Any]) -> Placement:
 
 def records_of(manifest: dict[str, Any]) -> list[LayerRecord]:
     """The layers that a manifest lists."""
-    return [LayerRecord(e["index"], e["z_mm"], e["pixels"], e["sha256"]) for e in manifest["layers"]]
+    return [LayerRecord(e["index"], e["z_mm"], e["pixels"], e["sha256"], e.get("void_px")) for e in manifest["layers"]]

@@ -54,6 +54,8 @@ class Mesh:
     rim: Rim | None = None  # of its holes
     unit_mm: float = 1.0  # length of the file's unit
     body: Ints | None = None  # (T,) number of the body (connected surface) that each triangle belongs to
+    object_names: tuple[str, ...] = ()  # of the file's named objects, once each
+    object_of: Ints | None = None  # (T,) number of each triangle's object in object_names
 
     @property
     def size_mm(self) -> Floats:
@@ -148,6 +150,8 @@ def _solid(soup: Soup, name: str, sha256: str, unit_mm: float, allow_open: bool)
         surface.rim if len(surface.rim.edges) else None,
         unit_mm,
         surface.body,
+        soup.names,
+        soup.object_of,
     )
 
 

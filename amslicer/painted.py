@@ -11,9 +11,11 @@ import numpy as np
 
 from amslicer.errors import JobError
 from amslicer.fields import Frame, Sampler, open_field, open_orientation
+from amslicer.fields.materialmap import MaterialMap
 from amslicer.fields.orientation import Angles, Orientation, Vector
+from amslicer.fields.raster import Raster, Rastered, raster_of
 from amslicer.profiles.waveforms import BlendShape
-from amslicer.specification import REST, AzimuthElevation, VectorComponents
+from amslicer.specification import REST, AzimuthElevation, VectorComponents, shares_by_material
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -23,6 +25,7 @@ if TYPE_CHECKING:
     from amslicer.grid import Grid
     from amslicer.job import Job
     from amslicer.placement import Placement
+    from amslicer.regions import Regions
 
     Floats = NDArray[np.float64]
 
@@ -42,6 +45,7 @@ class Painted:
         isotropy: 0 laminate … 1 isotropic.
         period: mm.
         blend: of the profile's two waveforms, 0…1; None where there is nothing to blend.
+        regions: what is of one material whatever is painted there; None where nothing is.
         mid_height_mm: where a 2D pattern's kernels sample the fields.
     """
 
@@ -54,6 +58,7 @@ class Painted:
     mid_height_mm: float
     dimensions: int
     blend: Sampler | None = None
+    regions: Regions | None = None
 
     def normals(self, points_mm: Floats) -> Floats:
         """(N, 3) unit normals at (N, 3) points; flat in 2D, at mid-height."""
@@ -181,6 +186,41 @@ class Painted:
                     np.maximum(rows[m - 1], rows[m], out=rows[m])
         return out
 
+    def ratio_rasters(self, grid: Grid, layer: int) -> list[Raster]:
+        """What ratio_map gives, plane by plane, as texels to interpolate between, but for the rounding of float32.
+
+        Raises:
+            JobError: as ratio_map.
+        """
+        first = self._first_ratio(grid, layer)
+        return [raster_of(plane) for plane in self.ratio_map(grid, layer)] if first is None else [first.used()]
+
+    def _first_ratio(self, grid: Grid, layer: int) -> Raster | None:
+        """The first of two materials' ratio; None where it is no such field, or may leave 0…1."""
+        ratio = self.ratios[0]
+        if len(self.ratios) != 2 or self.ratios[1] is not None or not isinstance(ratio, Rastered):
+            return None
+        if not (ratio.bounds[0] >= 0 and ratio.bounds[1] <= 1):
+            return None
+        x, y, z = self.placement.to_field(grid.x_mm()[None, :], grid.y_mm()[:, None], np.asarray(grid.z_mm(layer)))
+        if x.shape != (1, grid.columns) or y.shape != (grid.rows, 1) or z.size != 1:  # a turned part
+            return None
+        return ratio.raster(x, y, z)
+
+    def asked_map(self, grid: Grid, layer: int) -> NDArray[np.float32]:
+        """As ratio_map, with what is asked where skins and bodies have a material of their own."""
+        asked = self.ratio_map(grid, layer)
+        if self.regions is not None:
+            given = self.regions.labels(layer)
+            for m, until in enumerate(asked, 1):
+                np.copyto(until, given <= m, where=given > 0, casting="unsafe")
+        return asked
+
+    @property
+    def asked_depends_on_z(self) -> bool:
+        """Whether what asked_map says changes from layer to layer."""
+        return self.ratio_depends_on_z or self.regions is not None
+
     def blend_map(self, grid: Grid, layer: int) -> NDArray[np.float32]:
         """(rows, columns) from the profile's first waveform to its second, 0…1, at the pixel centres of a layer.
 
@@ -286,30 +326,28 @@ def _rest(values: list[Floats | None]) -> int | None:
 
 
 def open_fields(
-    job: Job, placement: Placement, file_size_mm: Floats, load_part: Callable[[], Part] | None = None
+    job: Job,
+    placement: Placement,
+    file_size_mm: Floats,
+    load_part: Callable[[], Part] | None = None,
+    grid: Grid | None = None,
 ) -> Painted:
     """Opens a job's fields over its part.
 
     Args:
         file_size_mm: (3,) bounding box size in the file's axes.
         load_part: reads the part, for fields that look at more than its box.
+        grid: the printer's, for fields by body.
 
     Raises:
         JobError: a field file cannot be used.
     """
-    frame = Frame(placement.file_minimum_mm, file_size_mm, placement, load_part)
+    priorities = {name: body.priority for name, body in job.spec.bodies.items() if body.priority}
+    frame = Frame(placement.file_minimum_mm, file_size_mm, placement, load_part, grid, priorities)
     fields, pattern = job.spec.fields, job.spec.pattern
-    if isinstance(fields.ratio, dict):
-        named = fields.ratio
-        ratios = tuple(
-            None if named[name] == REST else open_field(named[name], frame, job.inputs)  # type: ignore[arg-type]
-            for name in job.materials
-        )
-    else:
-        ratios = (open_field(fields.ratio, frame, job.inputs), None)
     return Painted(
         materials=job.materials,
-        ratios=ratios,
+        ratios=_open_shares(job, frame),
         orientation=_open_orientation(job, frame),
         isotropy=open_field(fields.isotropy, frame, job.inputs),
         period=open_field(pattern.period, frame, job.inputs),
@@ -319,6 +357,17 @@ def open_fields(
         blend=open_field(pattern.profile.blend.by, frame, job.inputs)
         if isinstance(pattern.profile, BlendShape)
         else None,
+    )
+
+
+def _open_shares(job: Job, frame: Frame) -> tuple[Sampler | None, ...]:
+    ratio = job.spec.fields.ratio
+    if isinstance(ratio, MaterialMap):
+        return ratio.open_shares(frame, job.inputs, [(m.name, m.color) for m in job.spec.materials])
+    shares = shares_by_material(ratio, job.materials)
+    assert shares is not None  # the job file's validation saw to it
+    return tuple(
+        None if shares[name] == REST else open_field(shares[name], frame, job.inputs) for name in job.materials
     )
 
 

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, Any, Protocol, cast
 
 import numpy as np
 
 from amslicer.block import Block, PlanarField
-from amslicer.evaluator import Evaluator
+from amslicer.evaluator import Evaluator, work_shape
 from amslicer.generator import DeviceGenerator
 from amslicer.mask import all_solid
 from amslicer.noise import NOISES
@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from amslicer.device import Device
+    from amslicer.fields.raster import Along
     from amslicer.grid import Grid
     from amslicer.job import Job
     from amslicer.lattice import Lattice, Taps
@@ -144,6 +145,7 @@ class Pattern:
         self._taps: list[Any] | None = None
         self._ratio: dict[int, NDArray[np.float32]] = {}
         self._sums: list[Floats] = []
+        self._row_sums: dict[int, Any] = {}
         self._cell_layers: dict[CellLayer, Kernels] = {}
         # What is ever looked at, margin included, in whole tiles: kernels are kept for all of it.
         corners = [self._all_tiles(some) for some in (self._pixel_tiling, tiling)]
@@ -170,10 +172,18 @@ class Pattern:
 
     def sum_ratios(self, layer: int) -> None:
         """Makes what `asked` needs of a layer. May run in another thread, while no other needs it."""
-        self._sums_until(layer)
+        if not self._on_device:
+            self._sums_until(layer)
+
+    @cached_property
+    def _on_device(self) -> bool:
+        """Whether the device makes thresholds of the painted ratio, which changes with z, and adds it up."""
+        return self._rank_table is None and self.noise.reads == "phase" and self.painted.ratio_depends_on_z
 
     def asked(self, runs: Runs, first: int) -> list[list[float]]:
-        """Per layer and material, the sum of its painted share over the solid pixels."""
+        """Per layer and material, the sum of its painted share over the solid pixels. After the layers are made."""
+        if self._on_device:
+            return [self._asked_of(first + layer, int(pixels)) for layer, pixels in enumerate(runs.pixels)]
         layer_of_run = runs.row // self.grid.rows
         materials = len(self.painted.materials)
         sums = np.zeros((runs.layers, materials + 1))
@@ -185,6 +195,14 @@ class Pattern:
                 shares = until[row, runs.stop[here]] - until[row, runs.start[here]]
                 sums[:, m] += np.bincount(layer_of_run[here], shares, minlength=runs.layers)
         return [[float(v) for v in row] for row in np.diff(sums, axis=1)]
+
+    def _asked_of(self, layer: int, solid: int) -> list[float]:
+        """From the device's sums along the rows."""
+        sums = np.zeros((len(self.painted.materials) - 1, self.padded[0]), np.float32)
+        if layer in self._row_sums:  # else nothing is solid there
+            self.device.read(self._row_sums.pop(layer), sums)
+        until = sums.sum(axis=1, dtype=np.float64)
+        return [float(v) for v in np.diff([0.0, *until, float(solid)])]
 
     def _sums_until(self, layer: int) -> list[Floats]:
         """Per cumulative ratio, (rows, columns + 1) its running sum along each row."""
@@ -376,15 +394,60 @@ class Pattern:
             near.append(kernels.take(reaches))
         return join_kernels(near)
 
-    def threshold_buffers(self, first: int, count: int) -> Iterator[tuple[int, int, Any]]:
-        """For runs of layers with the same painted ratio and blend: (number of the first, how many, thresholds)."""
+    @property
+    def graded_planes(self) -> int:
+        """Planes of ratios and thresholds that are kept for each layer while its batch is made."""
+        if not self.painted.materials_depend_on_z or (self._on_device and self.lattice is not None):
+            return 0
+        return len(self.painted.materials) - 1 + self.blended
+
+    def threshold_buffers(self, first: int, count: int, solid: Any, kept: bool) -> Iterator[tuple[int, int, Any]]:
+        """For runs of layers with the same painted ratio and blend: (number of the first, how many, thresholds).
+
+        Args:
+            solid: the solid pixels of these layers, on the device.
+            kept: whether thresholds are needed after those that follow are asked for.
+        """
         if not self.painted.materials_depend_on_z:
             if self._thresholds is None:
                 self._thresholds = self._threshold_buffer(first)
             yield 0, count, self._thresholds
             return
         for layer in range(count):
-            yield layer, 1, self._threshold_buffer(first + layer)
+            if self._on_device:
+                yield layer, 1, self._graded_thresholds(first + layer, solid, layer, kept)
+            else:
+                yield layer, 1, self._threshold_buffer(first + layer)
+
+    def _graded_thresholds(self, layer: int, solid: Any, number: int, kept: bool) -> Any:
+        """Thresholds of a layer where it is solid, made on the device from texels; and the sums of the ratios."""
+        device, (rows, columns) = self.device, self.padded
+        rasters = self.painted.ratio_rasters(self.grid, layer)
+        size = 4 * len(rasters) * rows * columns
+        thresholds = device.empty(size) if kept else device.scratch("thresholds", size)
+        sums = device.empty(4 * len(rasters) * rows)
+        macros = {**work_shape(device, 8 if columns % 16 else 16), "CYCLIC": self.profile.arrows}
+        for plane, raster in enumerate(rasters):
+            texels = np.ascontiguousarray(raster.texels, np.float32)
+            wide = device.scratch("wide", 4 * len(texels) * columns)
+            device.run(
+                device.kernel("across"), len(texels), wide, device.buffer(texels),
+                *self._neighbours(raster.columns, columns), np.uint32(texels.shape[1]), np.uint32(columns),
+                np.uint32(len(texels)),
+            )  # fmt: skip
+            device.run(
+                device.kernel("graded", macros), rows, thresholds, sums, wide, *self._neighbours(raster.rows, rows),
+                solid, np.uint32(columns), np.uint32(rows), np.uint32(number), np.uint32(plane),
+            )  # fmt: skip
+        self._row_sums[layer] = sums
+        return thresholds
+
+    def _neighbours(self, along: Along, size: int) -> tuple[Any, Any, Any]:
+        """Texels below and above, and the share between them, for so many pixels."""
+        below, above, share = (np.pad(a, (0, size - len(a))) for a in along)
+        arrays = below.astype(np.int32), above.astype(np.int32), share.astype(np.float32)
+        a, b, c = (self.device.buffer(array) for array in arrays)
+        return a, b, c
 
     def _levels(self, cumulative: NDArray[np.float32]) -> NDArray[np.float32]:
         """Values of Re G or |G|² at cumulative ratios; infinite where they are plain fills."""

@@ -8,8 +8,8 @@ import time
 from collections.abc import Callable, Generator, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import closing, contextmanager
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, cast
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, TypeAlias, cast
 
 import numpy as np
 
@@ -29,6 +29,9 @@ from amslicer.painted import Painted, open_fields
 from amslicer.pattern import Pattern, make_noise
 from amslicer.placement import Placement, place
 from amslicer.profiles import make_profile, profile_name
+from amslicer.regions import Regions
+from amslicer.relief import Moved, plan_relief
+from amslicer.specification import VOID
 from amslicer.tiles import CALM_DEG, CALM_TILE_PERIODS, TILE_PERIODS, Tiling, choose_tiling
 
 if TYPE_CHECKING:
@@ -41,6 +44,7 @@ if TYPE_CHECKING:
     from amslicer.noise.waves import Wave
 
 Progress = Callable[[int, int], None]
+Given: TypeAlias = dict[int, "NDArray[np.uint8]"]  # bits of each material that pixels have whatever the pattern says
 
 # Bitmaps and (where the ratio changes with z) ratios and thresholds of the layers of a block that are made at a time:
 # changes no byte. The runs and the lattice of a whole block are not in it.
@@ -91,7 +95,12 @@ class Run:
 
 @dataclass(frozen=True)
 class Prepared:
-    """A part read, placed and covered by the printer's grid, with its fields open."""
+    """A part read, placed and covered by the printer's grid, with its fields open.
+
+    Attributes:
+        mesh: as it was read, without its relief.
+        moved: the surface with its relief; None where it has none.
+    """
 
     job: Job
     mesh: Mesh
@@ -101,6 +110,12 @@ class Prepared:
     lattice: Lattice | None
     slicer: Slicer
     painted: Painted
+    moved: Moved | None = None
+
+    @property
+    def volume_mm3(self) -> float:
+        """Of the placed part, relief included; overlaps count twice."""
+        return self.mesh.volume_mm3 * self.placement.scale**3 if self.moved is None else self.moved.volume_mm3
 
     def pattern(self, device: Device) -> Pattern:
         """The laminate, to be evaluated on a device."""
@@ -108,7 +123,7 @@ class Prepared:
 
     def notes(self) -> list[str]:
         """What a person should know about the job, in sentences."""
-        return notes_of(self)
+        return [*notes_of(self), *(self.moved.notes() if self.moved else ())]
 
 
 def prepare(job: Job) -> Prepared:
@@ -125,7 +140,12 @@ def prepare(job: Job) -> Prepared:
     printer = spec.printer
     grid = cover(placement.size_mm.tolist(), printer.pitch_mm, printer.layer_height_mm, printer.margin_px)
     _refuse_absurd(job, grid, placement)
-    painted = open_fields(job, placement, mesh.size_mm, lambda: Part(job.part, mesh))
+    relief = plan_relief(job, mesh, placement, vertices, lambda: Part(job.part, mesh))
+    if relief is not None:
+        placement = relief.placement
+        grid = cover(placement.size_mm.tolist(), printer.pitch_mm, printer.layer_height_mm, printer.margin_px)
+        _refuse_absurd(job, grid, placement)
+    painted = open_fields(job, placement, mesh.size_mm, lambda: Part(job.part, mesh), grid)
     _refuse_periods(painted)
     _refuse_isotropies(painted)
     if make_profile(spec.pattern.profile).arrows:
@@ -139,8 +159,33 @@ def prepare(job: Job) -> Prepared:
         )  # fmt: skip
     tiling = lattice.tiling if lattice else choose_tiling(grid, painted.period_bounds_mm[0])
     SIZE_LIMITS[noise.made_of](job, noise, grid, painted)
-    slicer = make_slicer(vertices, mesh.triangles, grid, find_holes(mesh.rim, vertices, grid))
-    return Prepared(job, mesh, placement, grid, tiling, lattice, slicer, painted)
+    triangles, rim, moved = mesh.triangles, mesh.rim, None
+    if relief is not None:
+        moved = relief.moved(painted, noise)
+        vertices, triangles, rim = moved.surface.vertices, moved.surface.triangles, moved.rim
+    slicer = make_slicer(vertices, triangles, grid, find_holes(rim, vertices, grid))
+    painted = replace(painted, regions=_regions(job, mesh, placement, grid, slicer))
+    return Prepared(job, mesh, placement, grid, tiling, lattice, slicer, painted, moved)
+
+
+def _regions(job: Job, mesh: Mesh, placement: Placement, grid: Grid, slicer: Slicer) -> Regions | None:
+    """What skins and bodies with materials of their own take from the pattern; None where there are none."""
+    spec, names = job.spec, job.materials
+    if spec.skin is None and not spec.bodies:
+        return None
+    skin = None
+    if spec.skin is not None:
+        thickness = spec.skin.thickness_mm
+        top, bottom = (thickness if v is None else v for v in (spec.skin.top_mm, spec.skin.bottom_mm))
+        skin = (names.index(spec.skin.material) + 1, thickness, top, bottom)
+    labels: Callable[[int], NDArray[np.int16]] | None = None
+    own: tuple[int, ...] = ()
+    if spec.bodies:
+        from amslicer.bodies import own_materials
+
+        labels, own = own_materials(job, mesh, placement, grid)
+    void = names.index(VOID) + 1 if VOID in names else 0
+    return Regions(slicer, grid, labels, own, void, skin)
 
 
 def _tile_periods(noise: Noise, painted: Painted) -> float:
@@ -359,11 +404,13 @@ class Made:
         bitmaps: of its materials.
         asked: per material, the sum of its painted share over the solid pixels: how many pixels are asked.
         overlap_px: pixels that overlapping bodies have in common.
+        void_px: solid pixels where nothing is deposited; None where the job has no such material.
     """
 
     bitmaps: Bitmaps
     asked: list[float]
     overlap_px: int
+    void_px: int | None = None
 
 
 def make_layers(
@@ -375,42 +422,50 @@ def make_layers(
     Close it before the pool and the device.
     """
     grid = prepared.grid
-    graded = len(prepared.painted.materials) - 1 + pattern.blended if prepared.painted.materials_depend_on_z else 0
-    at_once = layers_at_once(grid, prepared.tiling, graded)
+    at_once = layers_at_once(grid, prepared.tiling, pattern.graded_planes)
 
     painted = pool.submit(pattern.sum_ratios, chosen.start)
 
-    def begin(first: int, end: int) -> tuple[int, int, Runs, Block]:
+    regions = prepared.painted.regions
+
+    def begin(first: int, end: int) -> tuple[int, int, Runs, Given, Block]:
         shares = np.array_split(np.arange(first, end), min(threads, end - first))
         parts = pool.map(lambda share: prepared.slicer.runs(int(share[0]), int(share[-1]) + 1), shares)
-        runs = join_runs(list(parts))
+        runs, given = join_runs(list(parts)), Given()
+        if regions is not None:
+            runs, given = regions.split(runs, first)
         if pattern.may_be_plain:
             painted.result()
         block = pattern.block(runs, first)
         block.prepare()
-        return first, end, runs, block
+        return first, end, runs, given, block
 
     ranges = pieces(chosen.start, chosen.stop, prepared.tiling.layers)
     with closing(_ahead(begin, ranges, threads)) as blocks:
-        for first, end, runs, block in blocks:
+        for first, end, runs, given, block in blocks:
             painted.result()
             for low in range(first, end, at_once):
                 some = runs.part(low - first, min(end, low + at_once) - first)
-                asked = pattern.asked(some, low)
                 deposits = block.deposits(low, low + some.layers)
+                asked = pattern.asked(some, low)
+                for m, all_bits in given.items():
+                    bits = all_bits[low - first : low - first + some.layers]
+                    deposits[:, m - 1] |= bits
+                    for sums, count in zip(asked, np.bitwise_count(bits).sum(axis=(1, 2), dtype=np.int64), strict=True):
+                        sums[m - 1] += float(count)
                 overlap = [0] * some.layers if some.overlap_px is None else some.overlap_px.tolist()
-                yield [Made(_bitmaps(prepared, low + i, bits), asked[i], overlap[i]) for i, bits in enumerate(deposits)]
+                yield [_made(prepared, low + i, bits, asked[i], overlap[i]) for i, bits in enumerate(deposits)]
 
 
 def _ahead(
-    begin: Callable[[int, int], tuple[int, int, Runs, Block]], ranges: Iterator[tuple[int, int]], threads: int
-) -> Generator[tuple[int, int, Runs, Block]]:
+    begin: Callable[[int, int], tuple[int, int, Runs, Given, Block]], ranges: Iterator[tuple[int, int]], threads: int
+) -> Generator[tuple[int, int, Runs, Given, Block]]:
     """Begins each range, the next one while the one before is worked on if there are threads for it."""
     if threads == 1:
         yield from (begin(*some) for some in ranges)
         return
     with workers(1) as other:
-        waiting: Future[tuple[int, int, Runs, Block]] | None = None
+        waiting: Future[tuple[int, int, Runs, Given, Block]] | None = None
         for some in ranges:
             begun = other.submit(begin, *some)
             if waiting:
@@ -438,14 +493,20 @@ def layers_at_once(grid: Grid, tiling: Tiling, graded: int) -> int:
     return max(1, min(tiling.layers, BATCH_BYTES // (bytes_per_pixel * grid.columns * grid.rows)))
 
 
-def _bitmaps(prepared: Prepared, index: int, deposits: NDArray[np.uint8]) -> Bitmaps:
-    grid, margin = prepared.grid, prepared.grid.margin_px
+def _made(prepared: Prepared, index: int, deposits: NDArray[np.uint8], asked: list[float], overlap_px: int) -> Made:
+    """A layer from the bits of all materials; of the one that stands for nothing there is no bitmap."""
+    grid, margin, job = prepared.grid, prepared.grid.margin_px, prepared.job
+    void_px = None
+    if job.printed != job.materials:
+        void = job.materials.index(VOID)
+        void_px = int(np.bitwise_count(deposits[void]).sum(dtype=np.int64))
+        deposits = np.delete(deposits, void, axis=0)
     rows = deposits[:, ::-1]
     if margin:
         inner = np.unpackbits(rows, axis=-1, count=grid.columns)
         rows = np.packbits(np.pad(inner, ((0, 0), (margin, margin), (margin, margin))), axis=-1)
     z = float(prepared.placement.origin_mm[2]) + grid.z_mm(index)
-    return Bitmaps(index, z, prepared.job.materials, grid.width_px, rows)
+    return Made(Bitmaps(index, z, job.printed, grid.width_px, rows), asked, overlap_px, void_px)
 
 
 @contextmanager
@@ -521,6 +582,6 @@ def estimate(job: Job, run: Run) -> Estimate:
     layers, of_single = len(chosen) / made, len(chosen) / len(single)
     pixels = float(everywhere * of_single / solid) if solid else layers
     return Estimate(
-        grid.width_px, grid.height_px, len(chosen), len(chosen) * len(job.materials), round(float(size * of_single)),
+        grid.width_px, grid.height_px, len(chosen), len(chosen) * len(job.printed), round(float(size * of_single)),
         seconds * (layers + pixels) / 2, label, tuple(prepared.notes()),
     )  # fmt: skip

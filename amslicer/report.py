@@ -86,7 +86,7 @@ def print_result(result: Result) -> None:
             m.name, f"{m.pixels:,}", f"{m.volume_mm3:,.2f}", "-" if m.grams is None else f"{m.grams:.3f}",
             f"{100 * m.asked:.2f} %", f"{100 * m.ratio:.2f} %",
         )
-        for m in result.materials
+        for m in (*result.materials, *([result.void] if result.void else []))
     ]  # fmt: skip
     _table(("material", "pixels", "mm³", "grams", "ratio asked", "ratio got"), rows)
     speed = result.solid_pixels / 1e6 / result.seconds
@@ -107,6 +107,7 @@ def result_dict(result: Result) -> dict[str, Any]:
         "solid_pixels": result.solid_pixels,
         "seconds": round(result.seconds, 3),
         "materials": [vars(m) for m in result.materials],
+        **({"void": vars(result.void)} if result.void else {}),
         "notes": list(result.notes),
     }
 

@@ -6,11 +6,13 @@ its defaults.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, field_validator, model_validator
 
 from amslicer.fields import PLANNED, SOURCES, FieldSpec, source_name
+from amslicer.fields.materialmap import MaterialMap
 from amslicer.fields.source import Number
 from amslicer.grid import MM_PER_INCH
 from amslicer.noise import NOISES
@@ -41,6 +43,7 @@ DEFAULT_COLORS = ("#2b6cb0", "#f6ad55", "#38a169", "#e53e3e", "#805ad5", "#d69e2
 # Pairs of a printer's keys that say the same thing.
 ALTERNATIVES = (("dpi", "pitch_um"), ("layer_mm", "layer_um"))
 REST = "rest"  # of a ratio per material: what the others leave
+VOID = "void"  # the material that stands for nothing: no bitmap is written for it
 FORMAT_NAMES = ("png", "grabcad", "gcvf", "sl1", "tiff", "zarr", "vti", "nrrd", "3mf", "svx")
 
 
@@ -257,6 +260,10 @@ def _share_kind(value: Any) -> str:
 
 
 def _ratio_kind(value: Any) -> str:
+    if isinstance(value, MaterialMap):
+        return "material map"
+    if isinstance(value, dict) and isinstance(value.get("map"), str) and value["map"] != REST:
+        return "material map"  # a number there is the share of a material of that name
     if not isinstance(value, dict) or set(value) & {*SOURCES, *PLANNED}:
         return "field"
     return "per material" if any(v == REST or source_name(v) for v in value.values()) else "field"
@@ -271,9 +278,25 @@ Shares = Annotated[
     Field(min_length=2, json_schema_extra={"propertyNames": {"not": {"enum": [*SOURCES, *PLANNED]}}}),
 ]
 RatioSpec = Annotated[
-    Annotated[Shares, Tag("per material")] | Annotated[FieldSpec, Tag("field")],
+    Annotated[Shares, Tag("per material")]
+    | Annotated[FieldSpec, Tag("field")]
+    | Annotated[MaterialMap, Tag("material map")],
     Discriminator(_ratio_kind),
 ]
+
+
+def shares_by_material(ratio: Any, names: Sequence[str]) -> dict[str, Any] | None:
+    """A share, or `rest`, per material that is given one; None where one field stands for too many materials.
+
+    One field is the first of two materials' share; `void` needs none where others have theirs.
+    """
+    if isinstance(ratio, dict):
+        absent = {VOID: 0.0} if VOID in names and VOID not in ratio else {}
+        return {**ratio, **absent}
+    two = list(names) if len(names) == 2 else [name for name in names if name != VOID]
+    if len(two) != 2:
+        return None
+    return {**dict.fromkeys(names, 0.0), two[0]: ratio, two[1]: REST}
 
 
 class Fields(Model):
@@ -287,6 +310,58 @@ class Fields(Model):
         description="the laminate's normal: degrees from +x towards +y, {azimuth, elevation}, or {vector: [x, y, z]}",
     )
     isotropy: FieldSpec = Field(default=0.0, description="0: laminate … 1: isotropic")
+
+
+class SkinSettings(Model):
+    """A shell of one material around the part, whatever the pattern is inside."""
+
+    material: str = Field(description="one of the materials")
+    thickness_mm: Positive = Field(description="from the surface inwards, in the printed part")
+    top_mm: Annotated[Number, Field(ge=0)] | None = Field(
+        default=None, description="below surfaces that face up; 0: none; default: as thick as elsewhere"
+    )
+    bottom_mm: Annotated[Number, Field(ge=0)] | None = Field(
+        default=None, description="above surfaces that face down; 0: none; default: as thick as elsewhere"
+    )
+
+
+class BodySettings(Model):
+    """What one body of the part is made of."""
+
+    material: str | None = Field(default=None, description="the whole of it; void: a cavity; default: the pattern")
+    priority: Whole = Field(default=0, description="where bodies overlap the highest counts; of equals the later one")
+
+
+class Displacement(Model):
+    """How the part's surface moves along its normal."""
+
+    amplitude_mm: Number = Field(description="how far at most, outwards; below 0 inwards; mm in the printed part")
+    profile: ProfileSpec | None = Field(
+        default=None,
+        description="height over the pattern's phase: sine (the default), triangle, sawtooth, square, pwm (up where "
+        "the first material is), {table: [...]}, {harmonics: [...]}, {square: duty}, or a blend of two",
+    )
+    field: FieldSpec | None = Field(default=None, description="height instead of the pattern's, 0 to 1; a field")
+    at: FieldSpec = Field(default=1.0, description="share of the amplitude, 0 to 1; a field")
+    centred: Flag = Field(default=False, description="half of the amplitude inwards, half outwards")
+    resolution_mm: Positive | None = Field(
+        default=None,
+        description="longest edge of the triangles that are moved; default: 1/12 of the pattern's shortest period, "
+        "1/36 where the profile jumps, a pixel at least",
+    )
+
+    @model_validator(mode="after")
+    def _one_height(self) -> Displacement:
+        if self.field is not None and self.profile is not None:
+            raise ValueError("has a field and a profile, which are two heights: give one of them")
+        if self.profile in ("symmetric", "cyclic"):
+            raise ValueError(f"profile {self.profile} is an order of materials, no height: use triangle or sawtooth")
+        return self
+
+    @property
+    def waveform(self) -> ProfileSpec:
+        """The profile, or its default."""
+        return "sine" if self.profile is None else self.profile
 
 
 class Output(Model):
@@ -304,6 +379,11 @@ class JobFile(Model):
     materials: tuple[Material, ...] = Field(min_length=2, max_length=8, description="in the order of the profile")
     pattern: Pattern = Field(default=Pattern(), description="the laminate: noise, period, profile")
     fields: Fields = Field(description="what is painted on the part")
+    skin: SkinSettings | None = Field(default=None, description="a shell of one material around the part")
+    bodies: dict[str, BodySettings] = Field(
+        default={}, description="by the name of a body of the part: its own material, and which counts in overlaps"
+    )
+    displacement: Displacement | None = Field(default=None, description="relief of the part's surface")
     output: Output = Field(default=Output(), description="how the stack is written")
 
     @field_validator("materials", mode="before")
@@ -330,15 +410,19 @@ class JobFile(Model):
 def key_paths() -> dict[str, str]:
     """Every key's name, and where it belongs ("ratio": "fields.ratio"), for did-you-mean messages."""
     from amslicer.fields import SOURCES
+    from amslicer.fields.blur import Blur
+    from amslicer.fields.combination import Clip, Mix, Remap, Where
     from amslicer.fields.gradient import LinearGradient, RadialGradient
 
     found: dict[str, str] = {}
     sections: tuple[tuple[str, type[BaseModel]], ...] = (
         ("", JobFile), ("printer.", Printer), ("part.", PartSettings), ("materials.", Material),
+        ("skin.", SkinSettings), ("bodies.", BodySettings), ("displacement.", Displacement),
         ("pattern.", Pattern), ("pattern.lobes.", Lobe), ("fields.", Fields), ("fields.orientation.", AzimuthElevation),
         ("fields.orientation.", VectorComponents),
         ("output.", Output), ("gradient.", LinearGradient), ("gradient.", RadialGradient),
-        *(("", source) for source in SOURCES.values()),
+        ("mix.", Mix), ("clip.", Clip), ("remap.", Remap), ("where.", Where), ("blur.", Blur),
+        *(("", source) for source in SOURCES.values()), ("fields.ratio.", MaterialMap),
         *(("pattern.profile.", shape) for shape in SHAPES.values()),
         *(("pattern.spectrum.", shape) for shape in SPECTRUM_SHAPES.values()),
         ("pattern.profile.blend.", Blend), ("pattern.profile.harmonics.", Harmonic),

@@ -26,6 +26,7 @@ from amslicer.manifest import (
     read_manifest,
     records_of,
 )
+from amslicer.specification import VOID
 from amslicer.stackfolder import opened_folder
 from amslicer.storage import MANIFEST, json_bytes, space_note, storage_errors, sync_folder, write_atomically
 from amslicer.writers.png import layer_path
@@ -71,6 +72,7 @@ class Result:
         complete: whether the stack holds all layers of the part.
         seconds: wall-clock time.
         notes: what a person should know.
+        void: how much of the part is left empty; None where the job has no such material.
     """
 
     out: Path
@@ -80,6 +82,7 @@ class Result:
     complete: bool
     seconds: float
     notes: tuple[str, ...]
+    void: MaterialResult | None = None
 
 
 def slice_job(
@@ -150,7 +153,7 @@ def slice_job(
         manifest = describe_stack(
             prepared, records, asked.tolist(), overlap_px, device=device.label, digest=digest, version=__version__
         )
-        for name in job.materials:
+        for name in job.printed:
             sync_folder(out / name)
         write_atomically(out / MANIFEST, json_bytes(manifest))
         sync_folder(out)
@@ -160,7 +163,7 @@ def slice_job(
 def _warn_of_full_disk(out: Path, prepared: Prepared, layers: int) -> None:
     """Only a warning: what the bitmaps deflate to is not known before they are there."""
     grid = prepared.grid
-    size = layers * len(prepared.job.materials) * grid.height_px * -(-grid.width_px // 8)
+    size = layers * len(prepared.job.printed) * grid.height_px * -(-grid.width_px // 8)
     if note := space_note(out, size, "the bitmaps may not fit: before compression they take"):
         logging.getLogger(__name__).info("note: %s", note)
 
@@ -172,7 +175,7 @@ def _encode(made: Made, prepared: Prepared) -> tuple[LayerRecord, list[tuple[str
     bitmaps, output = made.bitmaps, prepared.job.spec.output
     files = WRITERS[output.format](bitmaps, prepared.grid.pitch_mm, output.compression)
     sha256 = {material: hashlib.sha256(content).hexdigest() for _, material, content in files}
-    record = LayerRecord(bitmaps.index, bitmaps.z_mm, bitmaps.pixels(), sha256)
+    record = LayerRecord(bitmaps.index, bitmaps.z_mm, bitmaps.pixels(), sha256, made.void_px)
     return record, [(path, content) for path, _, content in files]
 
 
@@ -188,17 +191,25 @@ def _write(out: Path, layers: list[Future[tuple[LayerRecord, list[tuple[str, byt
 
 
 def _result(out: Path, manifest: dict[str, Any], prepared: Prepared, seconds: float) -> Result:
+    printed = [m for m in prepared.job.spec.materials if m.name in prepared.job.printed]
     materials = tuple(
         MaterialResult(
             m["name"], m["pixels"], m["volume_mm3"], m["ratio"], m["ratio_asked"],
             None if spec.density_g_cm3 is None else m["volume_mm3"] / 1000 * spec.density_g_cm3,
         )
-        for m, spec in zip(manifest["materials"], prepared.job.spec.materials, strict=True)
+        for m, spec in zip(manifest["materials"], printed, strict=True)
     )  # fmt: skip
     return Result(
         out, materials, manifest["solid_pixels"], len(manifest["layers"]), manifest["complete"], seconds,
-        (*prepared.notes(), *_outcome_notes(manifest, prepared)),
+        (*prepared.notes(), *_outcome_notes(manifest, prepared)), _void(manifest),
     )  # fmt: skip
+
+
+def _void(manifest: dict[str, Any]) -> MaterialResult | None:
+    found = manifest.get(VOID)
+    if found is None:
+        return None
+    return MaterialResult(VOID, found["pixels"], found["volume_mm3"], found["ratio"], found["ratio_asked"], None)
 
 
 def _outcome_notes(manifest: dict[str, Any], prepared: Prepared) -> Iterator[str]:
@@ -206,7 +217,7 @@ def _outcome_notes(manifest: dict[str, Any], prepared: Prepared) -> Iterator[str
     from amslicer.verification import ratio_tolerance
 
     records = records_of(manifest)
-    solid = [sum(record.pixels.values()) for record in records]
+    solid = [record.solid_px for record in records]
     filled = [i for i, pixels in enumerate(solid) if pixels]
     if not filled:
         yield "no pixel is solid: the part is thinner than a layer or a pixel of this printer"

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from amslicer.job import Job
 
 JOB_HEADER = "# written by amslicer: the whole job; slice it again with `amslicer PART --fields` and this file\n"
+PART_LINE = re.compile(r"^# the part: (.+)$", re.MULTILINE)  # where a copy of the part's file is kept
 LAYER_FILE = re.compile(r"\d{5,}\.png(" + re.escape(TEMPORARY) + ")?")
 
 
@@ -40,7 +41,11 @@ def opened_folder(out: Path, job: Job, *, overwrite: bool) -> Iterator[None]:
         with storage_errors("write to", out):
             _make_room(out, job, renamed, overwrite=overwrite)
         for name, new in renamed.items():
-            write_atomically(out / new, job.inputs.read(name))
+            write_atomically(out / new, job.inputs.map(name))
+        if job.part_copy:
+            with storage_errors("read", job.part):
+                content = job.part.read_bytes()
+            write_atomically(out / job.part_copy, content)
         write_atomically(out / JOB_FILE, _job_yaml(job, renamed))
         yield
 
@@ -52,15 +57,16 @@ def _make_room(out: Path, job: Job, renamed: dict[str, str], *, overwrite: bool)
                 f"the folder '{out}' is not empty", hint="choose another folder (-o OUT), or add --overwrite"
             )
         _remove_stack(out)
-    materials = [out / name for name in job.materials]
+    materials = [out / name for name in job.printed]
+    inputs = [*renamed.values(), *([job.part_copy] if job.part_copy else [])]
     taken = [p for f in materials if f.exists() for p in f.iterdir() if LAYER_FILE.fullmatch(p.name)]
-    taken += [p for p in (out / name for name in (JOB_FILE, MANIFEST, *renamed.values())) if p.exists()]
+    taken += [p for p in (out / name for name in (JOB_FILE, MANIFEST, *inputs)) if p.exists()]
     if taken:
         raise UsageError(
             f"'{taken[0]}' stands where the stack would go, and amslicer did not write it",
             hint="move it away or choose another folder (-o OUT)",
         )
-    for folder in [*materials, *([out / INPUTS] if renamed else [])]:
+    for folder in [*materials, *([out / INPUTS] if inputs else [])]:
         folder.mkdir(parents=True, exist_ok=True)
 
 
@@ -79,8 +85,10 @@ def _input_names(job: Job) -> dict[str, str]:
 def _job_yaml(job: Job, renamed: dict[str, str]) -> bytes:
     from ruamel.yaml import YAML
 
-    stream = io.StringIO(JOB_HEADER)
-    stream.seek(0, io.SEEK_END)
+    stream = io.StringIO()
+    stream.write(JOB_HEADER)
+    if job.part_copy:
+        stream.write(f"# the part: {job.part_copy}\n")
     yaml = YAML(typ="safe", pure=True)
     yaml.default_flow_style = False
     yaml.sort_base_mapping_type_on_output = False  # type: ignore[assignment]
@@ -103,7 +111,8 @@ def _remove_stack(out: Path) -> None:
         for file in files:
             file.unlink(missing_ok=True)
         _remove_if_empty(folder)
-    for name in (*_inputs_of(content), MANIFEST, JOB_FILE):
+    copy = PART_LINE.search(job_file.read_text(encoding="utf-8", errors="replace"))
+    for name in (*_inputs_of(content), *_inputs_of(copy and copy[1]), MANIFEST, JOB_FILE):
         for file in (out / name, out / (name + TEMPORARY)):
             file.unlink(missing_ok=True)
     _remove_if_empty(out / INPUTS)

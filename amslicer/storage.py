@@ -36,7 +36,7 @@ def storage_errors(action: str, path: Path) -> Iterator[None]:
         ) from error
 
 
-def write_atomically(path: Path, content: bytes) -> None:
+def write_atomically(path: Path, content: bytes | memoryview) -> None:
     """Writes a file so that its name never stands for half of it.
 
     Raises:

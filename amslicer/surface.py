@@ -78,7 +78,7 @@ class _EdgeUses:
 
 def connect(vertices: Floats, triangles: Ints, minimum_mm: Floats) -> Surface:
     """The surface of (V, 3) vertices, in mm from their minimum, and (T, 3) triangles."""
-    uses = _edge_uses(vertices, triangles)
+    uses = edge_uses(vertices, triangles)
     net = np.bincount(uses.edge, weights=uses.sign).astype(np.int64)
     unbalanced = net != 0
     first = np.flatnonzero(np.diff(uses.edge, prepend=-1))[unbalanced]
@@ -117,7 +117,7 @@ def _holes(places: Ints) -> Ints:
     return connected_components(len(used), start, end)[start]
 
 
-def _edge_uses(vertices: Floats, triangles: Ints) -> _EdgeUses:
+def edge_uses(vertices: Floats, triangles: Ints) -> _EdgeUses:
     corners = _places(vertices)[triangles]
     whole = np.flatnonzero((corners != np.roll(corners, 1, axis=1)).all(axis=1))  # no repeated corner
     start, end = corners[whole][:, [0, 1, 2]].ravel(), corners[whole][:, [1, 2, 0]].ravel()
@@ -230,14 +230,14 @@ def _inverted_bodies(surface: Surface, facing: float) -> Ints:
     for body in negative:
         own = np.unique(surface.triangles[order[bounds[body] : bounds[body + 1]]])
         tested = surface.vertices[own[np.linspace(0, len(own) - 1, min(samples, len(own))).astype(int)]]
-        winding = _winding_numbers(tested, surface.vertices[positive]) * facing
+        winding = winding_numbers(tested, surface.vertices[positive]) * facing
         # A cavity may touch the surface from inside, where the winding number is a fraction.
         if winding.min() < OUTSIDE or winding.mean() < 0.5:
             outside.append(body)
     return np.array(outside, dtype=np.int64)
 
 
-def _winding_numbers(points: Floats, corners: Floats) -> Floats:
+def winding_numbers(points: Floats, corners: Floats) -> Floats:
     """(P,) turns of triangles (T, 3, 3) around points: solid angles of Van Oosterom and Strackee (1983)."""
     total = np.zeros(len(points))
     steps = range(0, len(corners), SOLID_ANGLES_AT_ONCE)

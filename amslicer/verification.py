@@ -31,6 +31,8 @@ from amslicer.noise import NOISES
 from amslicer.painted import Painted, open_fields
 from amslicer.pattern import job_lobes, make_noise
 from amslicer.profiles import make_profile
+from amslicer.regions import Regions
+from amslicer.specification import VOID
 from amslicer.spread import DEFECT
 from amslicer.stack import VOLUME_SHARE, Stack, decode_bitmap
 from amslicer.storage import JOB_FILE, storage_errors
@@ -45,7 +47,7 @@ if TYPE_CHECKING:
 
     from amslicer.grid import Grid
     from amslicer.job import Job
-    from amslicer.pipeline import Progress
+    from amslicer.pipeline import Prepared, Progress
 
     Floats = NDArray[np.float64]
 
@@ -220,11 +222,11 @@ def verify_stack(
 
     stack = Stack(out)
     job = _job_of(stack, fields)
-    painted = _painted(stack, job)
+    painted, solid_of = _painted(stack, job)
     findings = _Findings()
     for problem in _missing_layers(stack):
         findings.add(FILES, problem)
-    totals, asked = [0] * len(stack.materials), [0.0] * len(stack.materials)
+    totals, asked = [0] * len(job.materials), [0.0] * len(job.materials)
     windows = RatioWindows(painted, stack.grid)
     pattern = job.spec.pattern
     profile = make_profile(pattern.profile)
@@ -234,7 +236,7 @@ def verify_stack(
     usable = texture.usable and likeness is None  # what is no laminate has no direction and period
     shown: list[Shown] = []
     with ThreadPoolExecutor(Run(jobs=jobs).threads) as pool:
-        look = _LayerLook(stack, painted, windows, texture if usable else None)
+        look = _LayerLook(stack, job, painted, windows, texture if usable else None, solid_of)
         for done, (record, result) in enumerate(_in_order(pool, look.check, stack.records), 1):
             totals = [a + b for a, b in zip(totals, result.pixels, strict=True)]
             asked = [a + b for a, b in zip(asked, result.asked, strict=True)]
@@ -251,7 +253,11 @@ def verify_stack(
         aligned=pattern.alignment > 0, lobes=lobes,
         likeness=likeness,
     ))  # fmt: skip
-    materials = _material_reports(stack, job, painted, totals, asked)
+    shell = _shell_share(stack)
+    materials = {
+        name: replace(m, tolerance=min(1.0, m.tolerance + shell))
+        for name, m in _material_reports(stack, job, painted, totals, asked).items()
+    }
     for m in materials.values():
         if not m.ok:
             findings.add(
@@ -259,19 +265,20 @@ def verify_stack(
                 f"{m.name}: {m.ratio:.4f} instead of {m.expected:.4f} "
                 f"(error {m.error:+.4f}, allowed ± {m.tolerance:.4f})",
             )
-    _check_totals(stack, totals, findings)
+    _check_totals(stack, job.materials, totals, findings)
     # Of several lobes a block shows now one, now another: none is its direction.
     looked_at = {DIRECTION: [] if lobes else of_low_isotropy(shown), PERIOD: shown, ISOTROPY: shown}
     for law, problems in (
         (VOLUME, _volume_problems(stack, sum(totals))),
-        (WINDOWS, ratio_problems(levels, stack.materials, painted.placement.origin_mm)),
+        (WINDOWS, () if shell else ratio_problems(levels, job.materials, painted.placement.origin_mm)),
         (DIRECTION, direction_problems(looked_at[DIRECTION])),
         (PERIOD, period_problems(looked_at[PERIOD], pattern.dimensions)),
         (ISOTROPY, isotropy_problems(looked_at[ISOTROPY])),
     ):
         for problem in problems:
             findings.add(law, problem)
-    checks = tuple(findings.check(law, made=law not in looked_at or len(looked_at[law]) >= MIN_BLOCKS) for law in LAWS)
+    made = {law: len(blocks) >= MIN_BLOCKS for law, blocks in looked_at.items()} | {WINDOWS: not shell}
+    checks = tuple(findings.check(law, made=made.get(law, True)) for law in LAWS)
     return Report(stack.folder, len(stack.records), sum(totals), checks, materials, tuple(levels), tuple(shown))
 
 
@@ -295,20 +302,53 @@ def _job_of(stack: Stack, fields: str | os.PathLike[str] | None) -> Job:
     own = stack.folder / JOB_FILE
     if fields is None and not own.is_file():
         raise StorageError(f"'{own}' is missing", hint="name the fields to compare with: --fields FIELDS.yaml")
-    job = load_job(own if fields is None else fields, part=stack.manifest["part"]["file"])
-    if job.materials != stack.materials:
+    part = stack.manifest["part"]
+    job = load_job(own if fields is None else fields, part=stack.folder / part.get("copy", part["file"]))
+    if job.printed != stack.materials:
         raise JobError(
-            f"{job.name}: the materials are {', '.join(job.materials)}, but the stack has {', '.join(stack.materials)}"
+            f"{job.name}: the materials are {', '.join(job.printed)}, but the stack has {', '.join(stack.materials)}"
         )
     return job
 
 
-def _painted(stack: Stack, job: Job) -> Painted:
+def _painted(stack: Stack, job: Job) -> tuple[Painted, Callable[[int], NDArray[np.bool_]] | None]:
+    """The painted fields; and what is solid in a layer, where the stack's bitmaps alone do not tell."""
     low, high = np.array(stack.manifest["part"]["file_bbox_mm"], float)
-    painted = open_fields(job, placement_of(stack.manifest), high - low)
-    if NOISES[job.spec.pattern.noise].follows(job.spec.pattern):
-        return painted
-    return replace(painted, isotropy=ConstantSampler(1.0))
+    solid_of = None
+    if job.needs_part:
+        prepared = _prepared(stack, job)
+        painted = prepared.painted
+        if job.printed != job.materials:
+            solid_of = Regions(prepared.slicer, prepared.grid).solid
+    else:
+        painted = open_fields(job, placement_of(stack.manifest), high - low, grid=stack.grid)
+    if not NOISES[job.spec.pattern.noise].follows(job.spec.pattern):
+        painted = replace(painted, isotropy=ConstantSampler(1.0))
+    return painted, solid_of
+
+
+def _prepared(stack: Stack, job: Job) -> Prepared:
+    """The part as it was sliced, from the stack's own copy of its file."""
+    from amslicer.pipeline import prepare
+
+    if not job.part.is_file():
+        raise StorageError(
+            f"'{job.part}' is missing: what is asked for depends on the part itself",
+            hint="slice the part again, or compare with fields that need its box alone (--fields)",
+        )
+    settings = job.spec.part.model_copy(update=stack.manifest["part"].get("settings", {}))
+    prepared = prepare(replace(job, spec=job.spec.model_copy(update={"part": settings})))
+    if prepared.mesh.sha256 != stack.manifest["part"]["sha256"]:
+        raise StorageError(f"'{job.part}' is not the part that was sliced", hint="slice the part again")
+    if prepared.grid != stack.grid:
+        raise JobError(f"{job.name}: makes other pixels than the stack has", hint="use the stack's printer and part")
+    return prepared
+
+
+def _shell_share(stack: Stack) -> float:
+    """Of the part, that a relief by the pattern fills in part: any material may be there, as the same pattern says."""
+    part = stack.manifest["part"]
+    return float(part.get("relief", {}).get("shell_mm3", 0.0) / part["volume_mm3"]) if "relief" in part else 0.0
 
 
 def _missing_layers(stack: Stack) -> Iterator[str]:
@@ -321,9 +361,18 @@ def _missing_layers(stack: Stack) -> Iterator[str]:
 class _LayerLook:
     """What is looked at of each layer, in any order and thread."""
 
-    def __init__(self, stack: Stack, painted: Painted, windows: RatioWindows, texture: Texture | None) -> None:
+    def __init__(
+        self,
+        stack: Stack,
+        job: Job,
+        painted: Painted,
+        windows: RatioWindows,
+        texture: Texture | None,
+        solid_of: Callable[[int], NDArray[np.bool_]] | None,
+    ) -> None:
         self._stack, self._painted, self._windows, self._texture = stack, painted, windows, texture
-        self._shared = None if painted.ratio_depends_on_z else painted.ratio_map(stack.grid, 0)
+        self._materials, self._solid_of = job.materials, solid_of
+        self._shared = None if painted.asked_depends_on_z else painted.ratio_map(stack.grid, 0)
 
     def check(self, record: LayerRecord) -> _LayerCheck:
         """Reads a layer's bitmaps, counts them, and holds them against the manifest and each other."""
@@ -331,7 +380,10 @@ class _LayerLook:
         labels = np.zeros((grid.height_px, grid.width_px), np.uint8)
         pixels, problems = [], []
         twice: NDArray[np.bool_] = np.zeros(labels.shape, bool)
-        for m, name in enumerate(stack.materials, 1):
+        for m, name in enumerate(self._materials, 1):
+            if name not in stack.materials:  # nothing, which has no bitmap
+                pixels.append(0)
+                continue
             deposit, found = _read_layer(stack, record, name)
             problems += found
             count = 0 if deposit is None else int(np.count_nonzero(deposit))
@@ -350,10 +402,35 @@ class _LayerLook:
             )
         margin = grid.margin_px
         inner = labels[::-1][margin : grid.height_px - margin, margin : grid.width_px - margin]
-        cumulative = self._painted.ratio_map(grid, record.index) if self._shared is None else self._shared
+        if self._solid_of is not None:
+            pixels, problems = self._with_void(record, inner, pixels, problems)
+        cumulative = self._painted.asked_map(grid, record.index) if self._shared is None else self._shared
         got, asked = self._windows.count(inner, cumulative)
+        if self._painted.regions is not None:  # what has its own material shows no laminate
+            inner = np.where(self._painted.regions.labels(record.index) > 0, np.uint8(0), inner)
         thinned = None if self._texture is None else self._texture.thin(inner)
         return _LayerCheck(pixels, asked.sum(axis=(1, 2)).tolist(), problems, (got, asked), thinned)
+
+    def _with_void(
+        self, record: LayerRecord, inner: NDArray[np.uint8], pixels: list[int], problems: list[tuple[str, str]]
+    ) -> tuple[list[int], list[tuple[str, str]]]:
+        """Labels what is solid and has no material, and says what lies outside the part."""
+        assert self._solid_of is not None
+        solid, void = self._solid_of(record.index), self._materials.index(VOID)
+        outside = np.argwhere((inner > 0) & ~solid)
+        if len(outside):
+            row, column = outside[0]
+            where = f"the first in column {column}, row {row} from below"
+            problems = [
+                *problems, (PARTITION, f"layer {record.index}: {len(outside)} pixels lie outside the part, {where}"),
+            ]  # fmt: skip
+        empty = solid & (inner == 0)
+        inner[empty] = void + 1
+        count = int(np.count_nonzero(empty))
+        if count != record.void_px:
+            problem = f"layer {record.index}: {count} pixels of {VOID}; the manifest says {record.void_px}"
+            problems = [*problems, (COUNTS, problem)]
+        return [count if m == void else n for m, n in enumerate(pixels)], problems
 
 
 def _read_layer(stack: Stack, record: LayerRecord, name: str) -> tuple[NDArray[np.bool_] | None, list[tuple[str, str]]]:
@@ -387,8 +464,10 @@ def _volume_problems(stack: Stack, solid: int) -> Iterator[str]:
         yield (f"the stack holds {volume:.6g} mm³, the part {expected:.6g} mm³ (allowed ± {allowed:.3g} mm³)")
 
 
-def _check_totals(stack: Stack, totals: list[int], findings: _Findings) -> None:
-    for entry, total in zip(stack.manifest["materials"], totals, strict=True):
+def _check_totals(stack: Stack, names: Sequence[str], totals: list[int], findings: _Findings) -> None:
+    void = [{"name": VOID, **stack.manifest[VOID]}] if VOID in stack.manifest else []
+    for entry in (*stack.manifest["materials"], *void):
+        total = totals[names.index(entry["name"])]
         if entry["pixels"] != total:
             findings.add(COUNTS, f"all layers: {total} pixels of {entry['name']}; the manifest says {entry['pixels']}")
 
@@ -397,9 +476,9 @@ def _material_reports(
     stack: Stack, job: Job, painted: Painted, totals: list[int], asked: list[float]
 ) -> dict[str, MaterialReport]:
     solid = sum(totals)
-    largest = max(sum(r.pixels.values()) for r in stack.records)
+    largest = max(record.solid_px for record in stack.records)
     reports, until = {}, 0.0
-    for name, count, wanted in zip(stack.materials, totals, asked, strict=True):
+    for name, count, wanted in zip(job.materials, totals, asked, strict=True):
         share = wanted / solid if solid else 0.0
         below, until = until, min(until + share, 1.0)
         tolerance = ratio_tolerance(stack.grid, job, painted, (below, until), solid, largest)

@@ -50,12 +50,14 @@ def paint(folder: Path, grey: NDArray[np.uint8 | np.uint16], name: str = "painte
 
 def job(
     part: Path, *, ratio: Any = 0.5, orientation: Any = 0.0, isotropy: Any = 0.0, printer: Mapping[str, Any] = SQUARE,
-    settings: Mapping[str, Any] | None = None, materials: tuple[str, ...] = ("rigid", "flexible"), **pattern: Any,
+    settings: Mapping[str, Any] | None = None, materials: tuple[str, ...] = ("rigid", "flexible"),
+    sections: Mapping[str, Any] | None = None, **pattern: Any,
 ) -> Job:  # fmt: skip
     """A job whose file lies beside the part (two materials, and 2D unless `dimensions` says otherwise).
 
     Args:
         settings: the job file's `part` section.
+        sections: further sections of the job file.
         pattern: keys of its `pattern` section.
     """
     content = {
@@ -64,6 +66,7 @@ def job(
         "materials": list(materials),
         "pattern": {"dimensions": 2, **pattern},
         "fields": {"ratio": ratio, "orientation": orientation, "isotropy": isotropy},
+        **(sections or {}),
     }
     if "exemplar" in NOISES[pattern.get("noise", "phasor")].keys and "exemplar" not in pattern:
         content["pattern"] |= {"exemplar": paint(part.parent, picture(grain())[::-1], "grain.png"), **EXEMPLAR}

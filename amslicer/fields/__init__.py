@@ -10,13 +10,23 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from pydantic import Discriminator, Tag
 
+from amslicer.fields.blur import Blur, BlurSource
+from amslicer.fields.combination import Clip, ClipSource, Mix, MixSource, Remap, RemapSource, Where, WhereSource
 from amslicer.fields.constant import Constant
+from amslicer.fields.distance import DistanceSource
 from amslicer.fields.expression import ExpressionSource
 from amslicer.fields.gradient import GradientSource
 from amslicer.fields.image import ImageSource
+from amslicer.fields.imagestack import StackSource
+from amslicer.fields.meshdata import MeshDataSource
 from amslicer.fields.opening import open_field, open_orientation
+from amslicer.fields.perbody import PerBodySource
+from amslicer.fields.points import PointsSource
 from amslicer.fields.source import Frame, Inputs, Sampler, Source
+from amslicer.fields.strokes import StrokesSource
 from amslicer.fields.texture import TextureSource
+from amslicer.fields.vertex import VertexSource
+from amslicer.fields.volume import VolumeSource
 
 if TYPE_CHECKING:
     from typing import TypeAlias
@@ -24,11 +34,24 @@ if TYPE_CHECKING:
 SOURCES: dict[str, type[Source]] = {
     "gradient": GradientSource,
     "image": ImageSource,
+    "stack": StackSource,
     "expression": ExpressionSource,
     "texture": TextureSource,
+    "volume": VolumeSource,
+    "mix": MixSource,
+    "clip": ClipSource,
+    "remap": RemapSource,
+    "where": WhereSource,
+    "blur": BlurSource,
+    "per_body": PerBodySource,
+    "mesh_data": MeshDataSource,
+    "distance": DistanceSource,
+    "vertex": VertexSource,
+    "points": PointsSource,
+    "strokes": StrokesSource,
 }
 # Sources of the job file's language that this version does not have yet.
-PLANNED = ("volume", "vertex", "distance", "points", "strokes", "mix")
+PLANNED: tuple[str, ...] = ()
 
 
 def source_name(value: Any) -> str | None:
@@ -62,6 +85,11 @@ else:
             custom_error_message=f"is not a field; a field is {describe_sources()}",
         ),
     ]
+    # Fields of fields: their models wait for the whole list, which they are on.
+    for _model in (Mix, Clip, Remap, Where, Blur, PerBodySource):
+        _model.model_rebuild(_types_namespace={"FieldSpec": FieldSpec})
+    for _model in (MixSource, ClipSource, RemapSource, WhereSource, BlurSource):
+        _model.model_rebuild()
 
 __all__ = [
     "PLANNED",

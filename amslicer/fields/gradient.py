@@ -15,6 +15,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, field_validator, model_validator
 
 from amslicer.errors import JobError
+from amslicer.fields.raster import Raster, raster_of
 from amslicer.fields.source import Frame, Inputs, Number, Sampler, Source, blend, one_tap
 
 if TYPE_CHECKING:
@@ -135,6 +136,12 @@ class GradientSampler:
         length = self.high_mm - self.low_mm
         t = ((x, y, z)[self.axis] - self.low_mm) / (length if length else 1.0)
         return blend(np.clip(t, 0.0, 1.0), self.from_, self.to)
+
+    def raster(self, x: Floats, y: Floats, z: Floats) -> Raster:
+        """Along z one value for the whole height, along x or y one for each column or row."""
+        values = self.scalar(x, y, z)
+        rows, columns = (y.shape[0] if self.axis == 1 else 1), (x.shape[1] if self.axis == 0 else 1)
+        return raster_of(np.broadcast_to(values, (rows, columns))).spread(y.shape[0], x.shape[1])
 
     def taps(self, x: Floats, y: Floats, z: Floats) -> tuple[Floats, Floats]:
         """One sample of weight 1 per point: a gradient of an angle is a plain number."""

@@ -7,7 +7,7 @@ import struct
 import warnings
 import zlib
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -18,10 +18,14 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
     from PIL import Image
 
+    Texels = NDArray[np.uint8 | np.uint16]
+
 FORMATS = ("PNG", "TIFF")
 # Full scale of the modes that Pillow keeps without loss; of RGB those of 8 bits, which is checked.
 FULL_SCALE = {"1": 1, "L": 255, "I;16": 65535, "I;16L": 65535, "I;16B": 65535, "RGB": 255}
+MAX_BYTE = 255
 MAX_TEXELS = 100_000_000  # larger pictures are refused on their declared size, before decoding
+AT_A_TIME = 1 << 20  # bytes unpacked, to count them
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 # PNG chunks that change what the texels mean: transparency, turning (Exif), animation.
 PNG_REFUSED = {b"tRNS": "transparent parts", b"eXIf": "an Exif orientation or other Exif data", b"acTL": "frames"}
@@ -64,7 +68,16 @@ GREY = Wanted(
 )
 
 
-def read_grey(content: bytes, name: str) -> tuple[NDArray[np.uint16], int]:
+RGB = replace(
+    GREY,
+    kind="RGB",
+    modes=("RGB",),
+    convert="convert it to a plain RGB picture: magick IN -auto-orient -colorspace sRGB -type TrueColor -alpha off "
+    "-interlace none -depth 8 OUT.png",
+)
+
+
+def read_grey(content: bytes, name: str) -> tuple[Texels, int]:
     """Decodes an 8 or 16-bit grey picture: (texels, top row first; full scale).
 
     Raises:
@@ -73,8 +86,10 @@ def read_grey(content: bytes, name: str) -> tuple[NDArray[np.uint16], int]:
     return read_picture(content, name, GREY)
 
 
-def read_picture(content: bytes, name: str, wanted: Wanted) -> tuple[NDArray[np.uint16], int]:
+def read_picture(content: bytes, name: str, wanted: Wanted) -> tuple[Texels, int]:
     """Decodes a picture: (texels, top row first, (rows, columns) or of RGB (rows, columns, 3); full scale).
+
+    Texels are of 8 bits where the full scale fits in them: large pictures take no more memory than they must.
 
     Raises:
         JobError: not a readable plain PNG or TIFF of a wanted kind, truncated, or too large.
@@ -90,7 +105,9 @@ def read_picture(content: bytes, name: str, wanted: Wanted) -> tuple[NDArray[np.
             _check_size(*picture.size, name, wanted)
             _check_meaning(picture, name, wanted)
             picture.load()
-            return np.asarray(picture).astype(np.uint16), FULL_SCALE[picture.mode]
+            full_scale = FULL_SCALE[picture.mode]
+            kind = np.uint8 if full_scale <= MAX_BYTE else np.uint16
+            return np.asarray(picture).astype(kind, copy=False), full_scale
     except UnidentifiedImageError:
         raise _refusal(name, f"is not a {' or '.join(FORMATS)} picture", wanted) from None
     except JobError:
@@ -141,11 +158,22 @@ def _check_png(content: bytes, name: str, wanted: Wanted) -> None:
     if row_bytes:
         expected = row_bytes * height
         try:
-            found = len(zlib.decompressobj().decompress(b"".join(packed), expected))
+            found = _unpacked(packed, expected)
         except zlib.error as error:
             raise _refusal(name, f"is damaged: {error}", wanted) from None
         if found < expected:
             raise _refusal(name, f"is cut short: {found // row_bytes} of {height} rows are there", wanted)
+
+
+def _unpacked(packed: list[bytes], most: int) -> int:
+    """How many bytes these unpack to, counted up to a number of them."""
+    stream, found = zlib.decompressobj(), 0
+    for data in packed:
+        rest = data
+        while rest and found < most:
+            found += len(stream.decompress(rest, min(AT_A_TIME, most - found)))
+            rest = stream.unconsumed_tail
+    return found
 
 
 def _chunks(content: bytes) -> Iterator[tuple[bytes, bytes]]:

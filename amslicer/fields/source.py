@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import mmap
+import os
 import stat
 from collections.abc import Callable, Hashable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Protocol
+from typing import TYPE_CHECKING, Annotated, Any, BinaryIO, Literal, Protocol
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
@@ -17,6 +20,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from amslicer.fields.orientation import Orientation
+    from amslicer.grid import Grid
     from amslicer.mesh import Mesh
     from amslicer.placement import Placement
 
@@ -24,6 +28,8 @@ if TYPE_CHECKING:
 
 MAX_FILE_BYTES = 1 << 30
 """1024³ samples of one byte: more detail than a part has, still held in memory."""
+SMALLEST_MAPPED = 64 << 20
+"""Bytes; smaller files are read at once, so that nobody can change or cut them short while they are in use."""
 
 Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 
@@ -80,12 +86,16 @@ class Frame:
         size_mm: (3,) bounding box size in the file's axes (or the printer's), mm.
         placement: where the part stands; None where only its box is known.
         load_part: reads the part, for sources that need more than its box.
+        grid: the printer's pixels and layers; None where they are not known.
+        body_priorities: of the part's bodies, by name, where they overlap; those that are not 0.
     """
 
     minimum_mm: Floats
     size_mm: Floats
     placement: Placement | None = None
     load_part: Callable[[], Part] | None = None
+    grid: Grid | None = None
+    body_priorities: Mapping[str, int] = field(default_factory=dict)
 
     def part(self, source: str) -> Part:
         """The part itself.
@@ -105,6 +115,19 @@ class Frame:
         return np.clip(position, 0.0, self.size_mm[axis])
 
 
+@dataclass(frozen=True)
+class Mapped:
+    """A file in the address space.
+
+    Attributes:
+        view: its bytes.
+        state: inode, size and time of the last change, as the file was when it was mapped.
+    """
+
+    view: memoryview
+    state: tuple[int, int, int]
+
+
 @dataclass
 class Inputs:
     """The files that a job's fields name, each read once.
@@ -113,11 +136,13 @@ class Inputs:
         folder: the job file's folder; paths are relative to it.
         files: what was read: path as written in the job file, to its bytes.
         allow_outside: whether paths may leave the folder.
+        maps: large files that were mapped instead of read.
     """
 
     folder: Path
     files: dict[str, bytes] = field(default_factory=dict)
     allow_outside: bool = False
+    maps: dict[str, Mapped] = field(default_factory=dict)
 
     def read(self, name: str) -> bytes:
         """The bytes of a field file.
@@ -126,34 +151,64 @@ class Inputs:
             JobError: missing, outside the folder, not a regular file, or too large.
         """
         if name not in self.files:
-            try:
-                path = (self.folder / name).resolve()
-                if not self.allow_outside and not path.is_relative_to(self.folder.resolve()):
-                    raise JobError(
-                        f"the field file '{name}' lies outside the job file's folder ({self.folder})",
-                        hint="put it beside the job file or in a folder below it, or add --allow-outside",
-                    )
-                found = path.stat()
-                if not stat.S_ISREG(found.st_mode):
-                    raise JobError(
-                        f"the field file '{name}' is not a regular file ({path})",
-                        hint="name a file: folders, devices and pipes are not read",
-                    )
-                if found.st_size > MAX_FILE_BYTES:
-                    raise JobError(
-                        f"the field file '{name}' has {found.st_size} bytes; at most {MAX_FILE_BYTES} are read",
-                        hint="make it smaller: fields are interpolated between samples",
-                    )
-                with path.open("rb") as stream:
-                    self.files[name] = stream.read(MAX_FILE_BYTES)
-            except (OSError, ValueError, RuntimeError) as error:  # also a zero byte, and a link to itself
-                reason = getattr(error, "strerror", None) or error
-                relative = f"paths are relative to the job file's folder ({self.folder})"
-                raise JobError(
-                    f"the field file {name!r} cannot be read: {reason}",
-                    hint="download it first: only files are read" if "://" in name else relative,
-                ) from error
+            with self._opened(name) as stream:
+                self.files[name] = stream.read(MAX_FILE_BYTES)
         return self.files[name]
+
+    def map(self, name: str) -> memoryview:
+        """The bytes of a field file, of a large one without reading more of it than is looked at; read-only.
+
+        Raises:
+            JobError: as read; or the file has changed since it was first asked for.
+        """
+        if name in self.files:
+            return memoryview(self.files[name])
+        with self._opened(name) as stream:
+            found = os.fstat(stream.fileno())
+            if name not in self.maps and found.st_size < SMALLEST_MAPPED:
+                self.files[name] = stream.read(MAX_FILE_BYTES)
+                return memoryview(self.files[name])
+            state = (found.st_ino, found.st_size, found.st_mtime_ns)
+            if name not in self.maps:
+                view = memoryview(mmap.mmap(stream.fileno(), found.st_size, access=mmap.ACCESS_READ))
+                self.maps[name] = Mapped(view, state)
+        if self.maps[name].state != state:
+            raise JobError(
+                f"the field file '{name}' changed while it was in use",
+                hint="run again, and leave the file alone until the run has ended",
+            )
+        return self.maps[name].view
+
+    @contextmanager
+    def _opened(self, name: str) -> Iterator[BinaryIO]:
+        """A field file that may be read, open."""
+        try:
+            path = (self.folder / name).resolve()
+            if not self.allow_outside and not path.is_relative_to(self.folder.resolve()):
+                raise JobError(
+                    f"the field file '{name}' lies outside the job file's folder ({self.folder})",
+                    hint="put it beside the job file or in a folder below it, or add --allow-outside",
+                )
+            found = path.stat()
+            if not stat.S_ISREG(found.st_mode):
+                raise JobError(
+                    f"the field file '{name}' is not a regular file ({path})",
+                    hint="name a file: folders, devices and pipes are not read",
+                )
+            if found.st_size > MAX_FILE_BYTES:
+                raise JobError(
+                    f"the field file '{name}' has {found.st_size} bytes; at most {MAX_FILE_BYTES} are read",
+                    hint="make it smaller: fields are interpolated between samples",
+                )
+            with path.open("rb") as stream:
+                yield stream
+        except (OSError, ValueError, RuntimeError) as error:  # also a zero byte, and a link to itself
+            reason = getattr(error, "strerror", None) or error
+            relative = f"paths are relative to the job file's folder ({self.folder})"
+            raise JobError(
+                f"the field file {name!r} cannot be read: {reason}",
+                hint="download it first: only files are read" if "://" in name else relative,
+            ) from error
 
 
 class Source(BaseModel):

@@ -38,14 +38,34 @@ def read_glb(data: bytes) -> Soup:
         )
     _check_counts(header, length)
     scene = trimesh.load_scene(io.BytesIO(data), file_type="glb", process=False, skip_materials=True)
-    pieces = []
-    for node in scene.graph.nodes_geometry:
-        matrix, name = scene.graph[node]
-        mesh = scene.geometry[name]
+    pieces, names = [], []
+    for _, name, node in _places(header, scene):
+        matrix, geometry = scene.graph[node]
+        mesh = scene.geometry[geometry]
         if isinstance(mesh, trimesh.Trimesh):
             vertices, triangles = np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces, np.int64)
             pieces.append(place(vertices, triangles, np.asarray(matrix, np.float64).T[:, :3]))
-    return joined(pieces)
+            names.append(name)
+    return joined(pieces, names)
+
+
+def _places(header: dict[str, Any], scene: Any) -> list[tuple[int, str, str]]:
+    """Number and name in the file of each node with a mesh, in order, and what trimesh's scene calls it."""
+    from trimesh.util import unique_name
+
+    nodes, meshes = header.get("nodes", []), header.get("meshes", [])
+    numbers: dict[str, int] = {}
+    counts: dict[str | None, int] = {}
+    for number, node in enumerate(nodes):
+        numbers[unique_name(node.get("name", str(number)), numbers, counts=counts)] = number
+    places = []
+    for node in scene.graph.nodes_geometry:
+        # The pieces of a mesh of several materials are nodes below the file's own.
+        number = numbers.get(node, numbers.get(scene.graph.transforms.parents.get(node), -1))
+        own = nodes[number] if number >= 0 else {}
+        name = own.get("name") or ("mesh" in own and meshes[own["mesh"]].get("name")) or ""
+        places.append((number, str(name), node))
+    return sorted(places, key=lambda place: place[0])
 
 
 def _check_counts(header: dict[str, Any], length: int) -> None:

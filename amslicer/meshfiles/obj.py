@@ -1,18 +1,25 @@
-"""OBJ: the v and f lines."""
+"""OBJ: the v and f lines, and the names of objects or groups."""
 
 from __future__ import annotations
 
 import codecs
 import re
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from amslicer.errors import PartError
-from amslicer.meshfiles.soup import EXPORT, Soup, expect, joined
+from amslicer.meshfiles.soup import EXPORT, Soup, expect, joined, with_names
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    Ints = NDArray[np.int64]
 
 _CONTINUATION = re.compile(rb"\\\r?\n")
 _VERTEX = re.compile(rb"^[ \t]*v[ \t]+(\S+[ \t]+\S+[ \t]+\S+)", re.MULTILINE)
 _FACE = re.compile(rb"^[ \t]*f[ \t]+([^\r\n#]*)", re.MULTILINE)
+_NAMES = [re.compile(rb"^[ \t]*" + kind + rb"[ \t]+([^\r\n#]*)", re.MULTILINE) for kind in (b"o", b"g")]
 _TEXTURE_AND_NORMAL = re.compile(rb"/\S*")  # of a corner 1/2/3
 
 
@@ -43,4 +50,19 @@ def read_obj(data: bytes) -> Soup:
         given = np.where(given < 0, given + above + 1, given)
     equal = (sizes == sizes[0]).all()
     faces = (given - 1).reshape(len(sizes), -1) if equal else np.split(given - 1, np.cumsum(sizes)[:-1])
-    return joined([(vertices, faces)])
+    return _named(joined([(vertices, faces)]), text, sizes)
+
+
+def _named(soup: Soup, text: bytes, sizes: Ints) -> Soup:
+    """The soup with the names of its objects; of its groups where there is no object.
+
+    Args:
+        sizes: (F,) corners of each face: two more than its triangles.
+    """
+    lines = next((found for kind in _NAMES if (found := list(kind.finditer(text)))), [])
+    if not lines:
+        return soup
+    faces_at = [match.start() for match in _FACE.finditer(text)]
+    ends = np.searchsorted(faces_at, [line.start() for line in lines])  # of the faces above each name
+    triangles = np.diff(np.concatenate([[0], np.cumsum(sizes - 2)])[np.concatenate([[0], ends, [len(sizes)]])])
+    return with_names(soup, ["", *(line[1].decode(errors="replace") for line in lines)], triangles)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import io
 import math
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -33,6 +33,8 @@ class Soup:
     triangles: Ints  # (T, 3)
     unit_mm: float = 1.0  # length of the file's unit
     missing: str = ""  # what shapes the part and is not implemented: the triangles may only stand in for it
+    names: tuple[str, ...] = ()  # of the file's objects, once each; none where no object has a name
+    object_of: Ints | None = None  # (T,) number of each triangle's object in names
 
     def check(self) -> None:
         """Raises PartError unless there are triangles, each uses vertices that are there, and all are finite."""
@@ -48,20 +50,38 @@ class Soup:
             raise PartError(f"{bad.size} vertices are NaN or infinite, first vertex {bad[0]}: {first}", hint=EXPORT)
 
 
-def joined(pieces: Iterable[tuple[Any, Any]]) -> Soup:
+def joined(pieces: Iterable[tuple[Any, Any]], names: Sequence[str] = ()) -> Soup:
     """Pieces of (V, 3) vertices and their faces, which may have any number of corners, as one soup.
+
+    Args:
+        names: of the pieces' objects.
 
     Raises:
         PartError: a face uses a vertex that its piece does not have.
     """
-    vertices, triangles, start = [np.zeros((0, 3))], [np.zeros((0, 3), dtype=np.int64)], 0
+    vertices, triangles, start, counts = [np.zeros((0, 3))], [np.zeros((0, 3), dtype=np.int64)], 0, []
     for points, faces in pieces:
         split = _triangulated(faces)
         _check_indices(split, len(points))
         vertices.append(np.asarray(points, dtype=np.float64))
         triangles.append(split + start)
         start += len(points)
-    return Soup(np.concatenate(vertices), np.concatenate(triangles))
+        counts.append(len(split))
+    return with_names(Soup(np.concatenate(vertices), np.concatenate(triangles)), names, counts)
+
+
+def with_names(soup: Soup, names: Sequence[str], counts: Sequence[int] | Ints) -> Soup:
+    """A soup whose triangles are those of objects, one after another: so many each.
+
+    Objects of the same name are one. Where some have a name, those without are called by their place in the file.
+    """
+    if not any(name.strip() for name in names):
+        return soup
+    full = [name.strip() or str(number) for number, name in enumerate(names, 1)]
+    kinds = list(dict.fromkeys(name for name, count in zip(full, counts, strict=True) if count))
+    number_of = {name: number for number, name in enumerate(kinds)}
+    objects = np.array([number_of.get(name, 0) for name in full], dtype=np.int64)
+    return replace(soup, names=tuple(kinds), object_of=np.repeat(objects, counts))
 
 
 def _triangulated(faces: Any) -> Ints:

@@ -75,7 +75,8 @@ def _read_model(data: bytes, scan: Scan) -> Soup:
     wrapper.checkError(reader, call(reader._handle, ctypes.c_uint64(len(data)), buffer))
     _check_counts(model, scan)
     unit_mm = _UNIT_MM[lib3mf.ModelUnit(model.GetUnit()).name]
-    return replace(joined(_placed(model, wrapper)), unit_mm=unit_mm)
+    placed = list(_placed(model, wrapper))
+    return replace(joined([mesh for _, mesh in placed], [name for name, _ in placed]), unit_mm=unit_mm)
 
 
 def _check_counts(model: Any, scan: Scan) -> None:
@@ -92,29 +93,30 @@ def _check_counts(model: Any, scan: Scan) -> None:
             )
 
 
-def _placed(model: Any, wrapper: Any) -> Iterator[tuple[Floats, Ints]]:
-    """(V, 3) vertices and (T, 3) triangles of every instance, where the build puts it."""
+def _placed(model: Any, wrapper: Any) -> Iterator[tuple[str, tuple[Floats, Ints]]]:
+    """The name, and the (V, 3) vertices and (T, 3) triangles of every instance, where the build puts it."""
     read: dict[int, tuple[Floats, Ints]] = {}
     items = model.GetBuildItems()
     while items.MoveNext():
         item = items.GetCurrent()
-        for mesh, transform in _meshes(item.GetObjectResource(), _matrix(item.GetObjectTransform())):
+        for name, mesh, transform in _meshes(item.GetObjectResource(), _matrix(item.GetObjectTransform()), ""):
             key = int(mesh.GetUniqueResourceID())
             if key not in read:
                 read[key] = _arrays(mesh, wrapper)
-            yield place(*read[key], transform)
+            yield name, place(*read[key], transform)
 
 
-def _meshes(resource: Any, transform: Floats) -> Iterator[tuple[Any, Floats]]:
-    """The mesh objects that an object is made of, each with its 4 x 3 transform."""
+def _meshes(resource: Any, transform: Floats, name: str) -> Iterator[tuple[str, Any, Floats]]:
+    """The mesh objects that an object is made of, each with its name, or that of what it is in, and 4 x 3 transform."""
+    name = str(resource.GetName()) or name
     if resource.IsMeshObject():
-        yield resource, transform
+        yield name, resource, transform
     elif resource.IsComponentsObject():
         for index in range(resource.GetComponentCount()):
             component = resource.GetComponent(index)
             combined = _matrix(component.GetTransform()) @ transform[:3]
             combined[3] += transform[3]
-            yield from _meshes(component.GetObjectResource(), combined)
+            yield from _meshes(component.GetObjectResource(), combined, name)
 
 
 def _matrix(transform: Any) -> Floats:
