@@ -118,7 +118,7 @@ class Block:
         layers = 1 if planar else count
         at_once = max(1, FIELD_BYTES // (8 * tile * tile * layers))
         needed = device.buffer(self._needed_in(first, end))
-        graded = list(pattern.threshold_buffers(first, count, solid, kept=True))
+        graded = list(pattern.threshold_buffers(first, count))
         in_block = self._in_block + first - self._first
         for start, stop in (*pieces_of(0, self._with_g, at_once), *pieces_of(self._with_g, len(tiles), at_once)):
             some = tiles[start:stop]
@@ -156,12 +156,12 @@ class Block:
         x, y, z = pattern.taps_by_vector()
         taps = {"TAPS_X": x.count, "TAPS_Y": y.count, "TAPS_Z": z.count, "COLUMNS": len(x.first),
                 "ROW_GROUPS": ROW_GROUPS}  # fmt: skip
-        for layer, count, thresholds in pattern.threshold_buffers(first, end - first, solid, kept=False):
+        for layer, count, (thresholds, *painting) in pattern.shares(first, end - first, len(tiles)):
             device.kernel("interpolate", {**self._macros(lattice.tiling.nodes[0].count), **taps})(
                 device.queue, (count, len(tiles)), (1, 1), out, field, solid, thresholds, *pattern.ranks, *buffers,
                 *self._materials(), np.uint32(field_tiles), needed, np.uint32(end - first), np.uint32(layer), waves,
                 *self._edges(first + layer), np.array(lattice.tiling.pixels, np.int32), np.uint32(first_plane),
-                np.uint32(self._in_block + first + layer - self._first), *pattern.taps(),
+                np.uint32(self._in_block + first + layer - self._first), *pattern.taps(), *painting,
             )  # fmt: skip
 
     def _slab_of(self, lattice: Lattice) -> tuple[Any, int]:

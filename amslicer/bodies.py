@@ -263,7 +263,7 @@ def own_materials(
     Raises:
         JobError: the part has no body of a name.
     """
-    asked = job.spec.bodies
+    asked = job.spec.bodies or {}
     find_bodies(mesh).numbers(list(asked), "bodies")
     index = body_index(mesh, placement, grid, {name: body.priority for name, body in asked.items()})
     materials = [asked[name].material if name in asked else None for name in index.bodies.names]

@@ -75,7 +75,7 @@ class Job:
         The job counts as it was written, names and colours included; where its field files lie and how the job is
         computed (threads, range of layers) do not.
         """
-        renamed = {path: hashlib.sha256(self.inputs.map(path)).hexdigest() for path in self.input_paths()}
+        renamed = {path: self.inputs.digest(path) for path in self.input_paths()}
         content = {
             "job": _dump(self.spec, renamed),
             "part": part_sha256,

@@ -249,7 +249,7 @@ def _source_hint(value: Any) -> str | None:
     """What was meant by a mapping that is no field."""
     import difflib
 
-    from amslicer.fields import PLANNED, SOURCES
+    from amslicer.fields import SOURCES
     from amslicer.specification import FORMAT_NAMES
 
     if isinstance(value, str) and value in FORMAT_NAMES:
@@ -260,9 +260,7 @@ def _source_hint(value: Any) -> str | None:
     if len(named) > 1:
         return f"give one of {' and '.join(named)}, not both"
     for key in value:
-        if key in PLANNED:
-            return f"{{{key}: …}} is not built yet in this version"
-        near = difflib.get_close_matches(key, [*SOURCES, *PLANNED, "azimuth", "elevation", "vector"], n=1)
+        near = difflib.get_close_matches(key, [*SOURCES, "azimuth", "elevation", "vector"], n=1)
         if near:
             return f"did you mean {near[0]}?"
     return None
@@ -290,7 +288,9 @@ def _refuse_regions(spec: JobFile, origin: Origin) -> None:
 
     names = [material.name for material in spec.materials]
     asked: list[tuple[KeyPath, str]] = [(("skin", "material"), spec.skin.material)] if spec.skin else []
-    asked += [(("bodies", name, "material"), body.material) for name, body in spec.bodies.items() if body.material]
+    asked += [
+        (("bodies", name, "material"), body.material) for name, body in (spec.bodies or {}).items() if body.material
+    ]
     for path, name in asked:
         if name not in names:
             near = difflib.get_close_matches(name, names, n=1)

@@ -192,11 +192,11 @@ class Painted:
         Raises:
             JobError: as ratio_map.
         """
-        first = self._first_ratio(grid, layer)
-        return [raster_of(plane) for plane in self.ratio_map(grid, layer)] if first is None else [first.used()]
+        few = self.ratio_texels(grid, layer)
+        return [raster_of(plane) for plane in self.ratio_map(grid, layer)] if few is None else [few]
 
-    def _first_ratio(self, grid: Grid, layer: int) -> Raster | None:
-        """The first of two materials' ratio; None where it is no such field, or may leave 0…1."""
+    def ratio_texels(self, grid: Grid, layer: int) -> Raster | None:
+        """The same of two materials, where the field has texels of its own; None where not, or it may leave 0…1."""
         ratio = self.ratios[0]
         if len(self.ratios) != 2 or self.ratios[1] is not None or not isinstance(ratio, Rastered):
             return None
@@ -205,7 +205,8 @@ class Painted:
         x, y, z = self.placement.to_field(grid.x_mm()[None, :], grid.y_mm()[:, None], np.asarray(grid.z_mm(layer)))
         if x.shape != (1, grid.columns) or y.shape != (grid.rows, 1) or z.size != 1:  # a turned part
             return None
-        return ratio.raster(x, y, z)
+        found = ratio.raster(x, y, z)
+        return found.used() if found is not None and found.is_plain else None
 
     def asked_map(self, grid: Grid, layer: int) -> NDArray[np.float32]:
         """As ratio_map, with what is asked where skins and bodies have a material of their own."""
@@ -342,7 +343,7 @@ def open_fields(
     Raises:
         JobError: a field file cannot be used.
     """
-    priorities = {name: body.priority for name, body in job.spec.bodies.items() if body.priority}
+    priorities = {name: body.priority for name, body in (job.spec.bodies or {}).items() if body.priority}
     frame = Frame(placement.file_minimum_mm, file_size_mm, placement, load_part, grid, priorities)
     fields, pattern = job.spec.fields, job.spec.pattern
     return Painted(

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Protocol, cast
 import numpy as np
 
 from amslicer.block import Block, PlanarField
-from amslicer.evaluator import Evaluator, work_shape
+from amslicer.evaluator import Evaluator
 from amslicer.generator import DeviceGenerator
 from amslicer.mask import all_solid
 from amslicer.noise import NOISES
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from amslicer.device import Device
-    from amslicer.fields.raster import Along
+    from amslicer.fields.raster import Along, Raster
     from amslicer.grid import Grid
     from amslicer.job import Job
     from amslicer.lattice import Lattice, Taps
@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
 
 
+TEXEL_BYTES = 32 << 20  # of painted ratios that the device is given at a time
 BRIGHTNESS = np.array([0.299, 0.587, 0.114])  # of red, green, blue (ITU-R BT.601)
 
 
@@ -145,7 +146,7 @@ class Pattern:
         self._taps: list[Any] | None = None
         self._ratio: dict[int, NDArray[np.float32]] = {}
         self._sums: list[Floats] = []
-        self._row_sums: dict[int, Any] = {}
+        self._sums_on_device: dict[int, tuple[Any, int, int]] = {}
         self._cell_layers: dict[CellLayer, Kernels] = {}
         # What is ever looked at, margin included, in whole tiles: kernels are kept for all of it.
         corners = [self._all_tiles(some) for some in (self._pixel_tiling, tiling)]
@@ -178,7 +179,8 @@ class Pattern:
     @cached_property
     def _on_device(self) -> bool:
         """Whether the device makes thresholds of the painted ratio, which changes with z, and adds it up."""
-        return self._rank_table is None and self.noise.reads == "phase" and self.painted.ratio_depends_on_z
+        keyed = self._rank_table is None and self.noise.reads == "phase"
+        return keyed and self.lattice is not None and self.painted.ratio_depends_on_z
 
     def asked(self, runs: Runs, first: int) -> list[list[float]]:
         """Per layer and material, the sum of its painted share over the solid pixels. After the layers are made."""
@@ -197,11 +199,14 @@ class Pattern:
         return [[float(v) for v in row] for row in np.diff(sums, axis=1)]
 
     def _asked_of(self, layer: int, solid: int) -> list[float]:
-        """From the device's sums along the rows."""
-        sums = np.zeros((len(self.painted.materials) - 1, self.padded[0]), np.float32)
-        if layer in self._row_sums:  # else nothing is solid there
-            self.device.read(self._row_sums.pop(layer), sums)
-        until = sums.sum(axis=1, dtype=np.float64)
+        """From the device's sums over its tiles."""
+        planes = len(self.painted.materials) - 1
+        until = np.zeros(planes)
+        if layer in self._sums_on_device:  # else nothing is solid there
+            buffer, number, layers = self._sums_on_device.pop(layer)
+            sums = np.empty((layers, buffer.size // (4 * planes * layers), planes), np.float32)
+            self.device.read(buffer, sums)
+            until = sums[number].sum(axis=0, dtype=np.float64)
         return [float(v) for v in np.diff([0.0, *until, float(solid)])]
 
     def _sums_until(self, layer: int) -> list[Floats]:
@@ -397,50 +402,60 @@ class Pattern:
     @property
     def graded_planes(self) -> int:
         """Planes of ratios and thresholds that are kept for each layer while its batch is made."""
-        if not self.painted.materials_depend_on_z or (self._on_device and self.lattice is not None):
+        if not self.painted.materials_depend_on_z or self._on_device:
             return 0
         return len(self.painted.materials) - 1 + self.blended
 
-    def threshold_buffers(self, first: int, count: int, solid: Any, kept: bool) -> Iterator[tuple[int, int, Any]]:
-        """For runs of layers with the same painted ratio and blend: (number of the first, how many, thresholds).
-
-        Args:
-            solid: the solid pixels of these layers, on the device.
-            kept: whether thresholds are needed after those that follow are asked for.
-        """
+    def threshold_buffers(self, first: int, count: int) -> Iterator[tuple[int, int, Any]]:
+        """For runs of layers with the same painted ratio and blend: (number of the first, how many, thresholds)."""
         if not self.painted.materials_depend_on_z:
             if self._thresholds is None:
                 self._thresholds = self._threshold_buffer(first)
             yield 0, count, self._thresholds
             return
         for layer in range(count):
-            if self._on_device:
-                yield layer, 1, self._graded_thresholds(first + layer, solid, layer, kept)
-            else:
-                yield layer, 1, self._threshold_buffer(first + layer)
+            yield layer, 1, self._threshold_buffer(first + layer)
 
-    def _graded_thresholds(self, layer: int, solid: Any, number: int, kept: bool) -> Any:
-        """Thresholds of a layer where it is solid, made on the device from texels; and the sums of the ratios."""
+    def shares(self, first: int, count: int, tiles: int) -> Iterator[tuple[int, int, tuple[Any, ...]]]:
+        """What cl/interpolate.cl takes of some layers: (number of the first, how many, what says their ratios).
+
+        Args:
+            tiles: how many the kernel looks at.
+        """
+        if not self._on_device:
+            for layer, some, thresholds in self.threshold_buffers(first, count):
+                yield layer, some, (thresholds,)
+            return
+        start = 0
+        while start < count:
+            rasters = self.painted.ratio_rasters(self.grid, first + start)
+            at_once = max(1, min(count - start, TEXEL_BYTES // sum(raster.texels.nbytes for raster in rasters)))
+            for layer in range(start + 1, start + at_once):
+                rasters += self.painted.ratio_rasters(self.grid, first + layer)
+            painting = self._painting(range(first + start, first + start + at_once), rasters, tiles)
+            yield start, at_once, (self.ranks[0], *painting)  # no thresholds are looked at
+            start += at_once
+
+    def _painting(self, layers: range, rasters: list[Raster], tiles: int) -> tuple[Any, ...]:
+        """Where sums of the ratios go, and the ratios of some layers as texels (the Painting of cl/graded.h).
+
+        Args:
+            rasters: of each layer, all with the pixels at the same places between texels.
+        """
         device, (rows, columns) = self.device, self.padded
-        rasters = self.painted.ratio_rasters(self.grid, layer)
-        size = 4 * len(rasters) * rows * columns
-        thresholds = device.empty(size) if kept else device.scratch("thresholds", size)
-        sums = device.empty(4 * len(rasters) * rows)
-        macros = {**work_shape(device, 8 if columns % 16 else 16), "CYCLIC": self.profile.arrows}
-        for plane, raster in enumerate(rasters):
-            texels = np.ascontiguousarray(raster.texels, np.float32)
-            wide = device.scratch("wide", 4 * len(texels) * columns)
-            device.run(
-                device.kernel("across"), len(texels), wide, device.buffer(texels),
-                *self._neighbours(raster.columns, columns), np.uint32(texels.shape[1]), np.uint32(columns),
-                np.uint32(len(texels)),
-            )  # fmt: skip
-            device.run(
-                device.kernel("graded", macros), rows, thresholds, sums, wide, *self._neighbours(raster.rows, rows),
-                solid, np.uint32(columns), np.uint32(rows), np.uint32(number), np.uint32(plane),
-            )  # fmt: skip
-        self._row_sums[layer] = sums
-        return thresholds
+        down, across = rasters[0].texels.shape
+        texels = np.zeros((len(rasters), down, across + 1), np.float32)  # with a texel above the last
+        for plane, raster in zip(texels, rasters, strict=True):
+            plane[:, :-1] = raster.texels
+        size = 4 * tiles * len(rasters)
+        sums = device.empty(size)
+        device.fill_zeros(sums, size)
+        for number, layer in enumerate(layers):
+            self._sums_on_device[layer] = sums, number, len(layers)
+        return (
+            sums, device.buffer(texels), np.array([across + 1, down], np.uint32),
+            *self._neighbours(rasters[0].columns, columns)[::2], *self._neighbours(rasters[0].rows, rows),
+        )  # fmt: skip
 
     def _neighbours(self, along: Along, size: int) -> tuple[Any, Any, Any]:
         """Texels below and above, and the share between them, for so many pixels."""
@@ -491,6 +506,7 @@ class Pattern:
             "CYCLIC": self._rank_table is None and self.profile.arrows, "DITHERED": self.dithered,
             "VALUE": ("phase", "value", "power").index(self.noise.reads), "BLENDED": self.blended,
             "TABLE": 0 if self._rank_table is None else self._rank_table.ranks.shape[1],
+            "GRADED": len(self.painted.materials) - 1 if self._on_device else 0,
         }  # fmt: skip
 
 

@@ -1,10 +1,11 @@
 """Surface relief: the pattern, or a field, moves the part's surface along its normal (Tricard et al. 2019, 4.2).
 
-    displacement: {amplitude_mm: 0.4, profile: sawtooth, at: FIELD, centred: false, resolution_mm: 0.05}
+    displacement: {amplitude_mm: 0.4, profile: sawtooth, at: FIELD, both_ways: false, resolution_mm: 0.05}
     displacement: {amplitude_mm: 0.4, field: FIELD}
 
 A vertex goes by amplitude · at · h, outwards; h is the waveform, from 0 to 1, of the pattern's phase there, or the
-field; -½ to ½ if `centred`. Faces that meet at an edge both move by that much (amslicer/refine.py). An amplitude below
+field; -½ to ½ with `both_ways`. Faces that meet at an edge both move by that much (amslicer/refine.py). An amplitude
+below
 0 engraves. `pwm` is 1 where the first material is. Of noises that are read by value, h is the waveform of the value's
 rank, so that heights are spread as they are for a phase.
 
@@ -219,7 +220,7 @@ def _around(placement: Placement, low: Floats, high: Floats, *, on_bed: bool) ->
 
 
 def _raised(spec: Displacement, height: Floats) -> Floats:
-    return height - 0.5 if spec.centred else height
+    return height - 0.5 if spec.both_ways else height
 
 
 def _waves(profile: object) -> tuple[Waveform, ...]:

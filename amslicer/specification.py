@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, field_validator, model_validator
 
-from amslicer.fields import PLANNED, SOURCES, FieldSpec, source_name
+from amslicer.fields import SOURCES, FieldSpec, source_name
 from amslicer.fields.materialmap import MaterialMap
 from amslicer.fields.source import Number
 from amslicer.grid import MM_PER_INCH
@@ -264,7 +264,7 @@ def _ratio_kind(value: Any) -> str:
         return "material map"
     if isinstance(value, dict) and isinstance(value.get("map"), str) and value["map"] != REST:
         return "material map"  # a number there is the share of a material of that name
-    if not isinstance(value, dict) or set(value) & {*SOURCES, *PLANNED}:
+    if not isinstance(value, dict) or set(value) & set(SOURCES):
         return "field"
     return "per material" if any(v == REST or source_name(v) for v in value.values()) else "field"
 
@@ -275,7 +275,7 @@ ShareSpec = Annotated[
 # By a material's name; a mapping with a source's key in it is a field.
 Shares = Annotated[
     dict[str, ShareSpec],
-    Field(min_length=2, json_schema_extra={"propertyNames": {"not": {"enum": [*SOURCES, *PLANNED]}}}),
+    Field(min_length=2, json_schema_extra={"propertyNames": {"not": {"enum": [*SOURCES]}}}),
 ]
 RatioSpec = Annotated[
     Annotated[Shares, Tag("per material")]
@@ -343,7 +343,7 @@ class Displacement(Model):
     )
     field: FieldSpec | None = Field(default=None, description="height instead of the pattern's, 0 to 1; a field")
     at: FieldSpec = Field(default=1.0, description="share of the amplitude, 0 to 1; a field")
-    centred: Flag = Field(default=False, description="half of the amplitude inwards, half outwards")
+    both_ways: Flag = Field(default=False, description="half of the amplitude inwards, half outwards")
     resolution_mm: Positive | None = Field(
         default=None,
         description="longest edge of the triangles that are moved; default: 1/12 of the pattern's shortest period, "
@@ -380,8 +380,8 @@ class JobFile(Model):
     pattern: Pattern = Field(default=Pattern(), description="the laminate: noise, period, profile")
     fields: Fields = Field(description="what is painted on the part")
     skin: SkinSettings | None = Field(default=None, description="a shell of one material around the part")
-    bodies: dict[str, BodySettings] = Field(
-        default={}, description="by the name of a body of the part: its own material, and which counts in overlaps"
+    bodies: dict[str, BodySettings] | None = Field(
+        default=None, description="by the name of a body of the part: its own material, and which counts in overlaps"
     )
     displacement: Displacement | None = Field(default=None, description="relief of the part's surface")
     output: Output = Field(default=Output(), description="how the stack is written")

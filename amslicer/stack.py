@@ -27,7 +27,7 @@ from amslicer.manifest import (
     records_of,
 )
 from amslicer.specification import VOID
-from amslicer.stackfolder import opened_folder
+from amslicer.stackfolder import copy_inputs, opened_folder
 from amslicer.storage import MANIFEST, json_bytes, space_note, storage_errors, sync_folder, write_atomically
 from amslicer.writers.png import layer_path
 
@@ -124,7 +124,7 @@ def slice_job(
     with (
         Device(run.device, run.jobs) as device,
         workers(run.threads) as pool,
-        opened_folder(out, job, overwrite=overwrite),
+        opened_folder(out, job, overwrite=overwrite) as large,
     ):
         pattern = prepared.pattern(device)
         records: list[LayerRecord] = []
@@ -132,8 +132,10 @@ def slice_job(
         overlap_px = 0
         with (
             workers(1) as disk,  # waits for the disk while others compute
+            workers(1) as copier,  # of large field files
             closing(make_layers(prepared, pattern, pool, chosen, run.threads)) as batches,
         ):
+            copied = copier.submit(copy_inputs, out, job, large)
             waiting: deque[Future[list[LayerRecord]]] = deque()
 
             def collect(most: int) -> None:
@@ -149,6 +151,7 @@ def slice_job(
                 asked += np.sum([made.asked for made in batch], axis=0)
                 overlap_px += sum(made.overlap_px for made in batch)
             collect(0)
+            copied.result()
         digest = job.digest(prepared.mesh.sha256, device.label, __version__)
         manifest = describe_stack(
             prepared, records, asked.tolist(), overlap_px, device=device.label, digest=digest, version=__version__

@@ -19,13 +19,17 @@ if TYPE_CHECKING:
     from amslicer.job import Job
 
 JOB_HEADER = "# written by amslicer: the whole job; slice it again with `amslicer PART --fields` and this file\n"
+LARGE_BYTES = 8 << 20  # of a field file: its copy takes longer than the first layers
 PART_LINE = re.compile(r"^# the part: (.+)$", re.MULTILINE)  # where a copy of the part's file is kept
 LAYER_FILE = re.compile(r"\d{5,}\.png(" + re.escape(TEMPORARY) + ")?")
 
 
 @contextmanager
-def opened_folder(out: Path, job: Job, *, overwrite: bool) -> Iterator[None]:
+def opened_folder(out: Path, job: Job, *, overwrite: bool) -> Iterator[dict[str, str]]:
     """Holds the stack's folder, ready to be written to: material folders, job.yaml and inputs/ are there.
+
+    Yields:
+        Field files that are too large to wait for, and where copy_inputs must put them.
 
     Raises:
         UsageError: it holds something, and `overwrite` is off or would replace what amslicer did not write; or
@@ -40,14 +44,21 @@ def opened_folder(out: Path, job: Job, *, overwrite: bool) -> Iterator[None]:
         renamed = _input_names(job)
         with storage_errors("write to", out):
             _make_room(out, job, renamed, overwrite=overwrite)
-        for name, new in renamed.items():
-            write_atomically(out / new, job.inputs.map(name))
+        large = {name: new for name, new in renamed.items() if job.inputs.map(name).nbytes >= LARGE_BYTES}
+        copy_inputs(out, job, {name: new for name, new in renamed.items() if name not in large})
         if job.part_copy:
             with storage_errors("read", job.part):
                 content = job.part.read_bytes()
             write_atomically(out / job.part_copy, content)
         write_atomically(out / JOB_FILE, _job_yaml(job, renamed))
-        yield
+        yield large
+
+
+def copy_inputs(out: Path, job: Job, renamed: dict[str, str]) -> None:
+    """Writes field files into the stack, and works out their digests."""
+    for name, new in renamed.items():
+        write_atomically(out / new, job.inputs.map(name))
+        job.inputs.digest(name)
 
 
 def _make_room(out: Path, job: Job, renamed: dict[str, str], *, overwrite: bool) -> None:

@@ -13,6 +13,7 @@ MAX_BYTES = 1 << 20  # a job file is written by people
 MAX_DEPTH = 32
 MAX_TOKENS = 100_000  # 50 000 numbers in a list: five seconds; a mebibyte of them takes a minute
 EXAMPLE = "`amslicer init` writes an example"
+NUMBERED = (("stack",), ("bodies",), ("per_body",))  # keys whose own keys may be numbers: heights, bodies without names
 PLAIN_HINT = "write each value where it is used; a word that starts with such a sign needs quotes"
 
 KeyPath = tuple[str | int, ...]
@@ -140,6 +141,8 @@ def _plain(node: Any, path: KeyPath, places: Places, where: str) -> Any:
             line, column = key_node.start_mark.line + 1, key_node.start_mark.column + 1
             at = f"{where}, line {line}, column {column}"
             key = _plain(key_node, (), {}, where)
+            if type(key) in (int, float) and path[-1:] in NUMBERED:
+                key = str(key_node.value)
             if not isinstance(key, str):
                 raise JobError(f"{at}: the key {key!r} is not a word", hint=f'quote it: "{key}"')
             if key == "<<":

@@ -3,17 +3,21 @@
 // host defines CYCLIC; VALUE: Re G (1) or |G|² (2) is read, thresholds are values of it, and a pixel is beyond those that are
 // not below its own; TABLE, or 0: a pixel's rank is looked up among so many (amslicer/profiles/rank.py), and it is beyond the thresholds
 // that are not above its rank; BLENDED: a last plane of thresholds says in which row of the table; and DITHERED: each pixel
-// reads G at a random place within itself.
+// reads G at a random place within itself. With GRADED, so many cumulative ratios come as such (graded.h), and are added up.
 
 #ifndef AMSLICER_DEPOSIT_H
 #define AMSLICER_DEPOSIT_H
 
 #include "tile.h"
+#if GRADED
+#include "graded.h"
+#else
+#define intV CAT(int, VECTOR)
+#endif
 #if DITHERED
 #include "hash_vector.h"
 #endif
 
-#define intV CAT(int, VECTOR)
 #define ucharV CAT(uchar, VECTOR)
 #define to_intV CAT(convert_int, VECTOR)
 #define to_ucharV CAT(convert_uchar, VECTOR)
@@ -82,7 +86,11 @@ floatV rank_of(const floatV re, const floatV im, const Profile profile, const fl
 // The bitmaps of a vector of pixels of one row from G there. deposits: [material][padded rows][bytes] and solid:
 // [padded rows][bytes] of a layer; column, row: of the first pixel; wave: rad per column, row and layer; layer: the part's.
 void deposit(floatV re, floatV im, global const uchar *solid, global uchar *deposits, const Profile profile,
-             const int column, const uint row, const uint layer, const float4 wave)
+             const int column, const uint row, const uint layer, const float4 wave
+#if GRADED
+             , const floatV ratios[GRADED], floatV sums[GRADED]
+#endif
+)
 {
 #if DITHERED
     const floatV phase = jitter(column, row, profile.planar ? 0u : layer, wave, profile.number, profile.seed);
@@ -114,7 +122,11 @@ void deposit(floatV re, floatV im, global const uchar *solid, global uchar *depo
     const floatV rank = rank_of(re, im, profile, line);
 #endif
     for (uint p = 0; p < profile.planes; ++p) {
+#if GRADED
+        const floatV threshold = key_of(ratios[p]);
+#else
         const floatV threshold = vloadV(0, profile.thresholds + p * plane + place);
+#endif
 #if TABLE
         material -= rank >= threshold;
 #elif VALUE
@@ -125,6 +137,14 @@ void deposit(floatV re, floatV im, global const uchar *solid, global uchar *depo
     }
     uchar rest[VECTOR / 8];
     for (int i = 0; i < VECTOR / 8; ++i) rest[i] = solid[place / 8 + i];
+#if GRADED
+    uint all = 0xFF;
+    for (int i = 0; i < VECTOR / 8; ++i) all &= rest[i];
+    intV inside = (intV)-1;
+    if (all != 0xFF)  // seldom: bits to lanes is slow
+        for (int i = 0; i < VECTOR; ++i) ((int *)&inside)[i] = -((rest[i / 8] >> (7 - i % 8)) & 1);
+    for (int p = 0; p < GRADED; ++p) sums[p] += select((floatV)0.0f, ratios[p], inside);
+#endif
     for (uint m = 0; m < profile.planes; ++m) {
         uchar bits[VECTOR / 8];
         pack(material == (intV)(int)m, bits);

@@ -19,7 +19,7 @@ from pydantic import TypeAdapter
 from scipy.interpolate import PchipInterpolator
 
 from amslicer import JobError, load_job
-from amslicer.fields import PLANNED, FieldSpec, Frame, Inputs, blur, open_field, open_orientation
+from amslicer.fields import FieldSpec, Frame, Inputs, blur, open_field, open_orientation
 from amslicer.fields.combination import mix_lines
 from amslicer.fields.source import Part
 from amslicer.jobfile import MOST_NESTED
@@ -91,10 +91,6 @@ def remap(field: Any, *curve: list[float], smooth: bool = False) -> dict[str, An
 
 
 CURVE: tuple[list[float], ...] = ([0.2, 3.0], [0.5, 1.0], [0.9, 1.5])
-
-
-def test_they_are_built() -> None:
-    assert not {"mix", "clip", "remap", "where", "blur", "per_body"} & set(PLANNED)
 
 
 # Numbers

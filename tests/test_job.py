@@ -336,24 +336,6 @@ def test_refused_with_its_key(key: str, value: Any, said: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("key", "value"),
-    [
-        ("fields.ratio", {"volume": "ratio.npy"}),
-        ("fields.ratio", {"vertex": "name"}),
-        ("fields.ratio", {"distance": {"from": 0.2, "to": 0.8, "depth": 2.0}}),
-        ("fields.ratio", {"points": "file.csv"}),
-        ("fields.ratio", {"strokes": []}),
-        ("fields.ratio", {"mix": []}),
-        ("fields.orientation", {"azimuth": {"volume": "angle.npy"}}),
-    ],
-)
-def test_what_is_not_built_yet_says_so(key: str, value: Any) -> None:
-    error = refusal(with_key(key, value))
-    assert "is not built yet in this version" in str(error)
-    assert key in error.message
-
-
-@pytest.mark.parametrize(
     ("key", "value", "named"),
     [
         ("output.format", "tiff", "output.format"),

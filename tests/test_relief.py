@@ -194,21 +194,26 @@ def test_ring_with_a_sawtooth_of_the_pattern(tmp_path: Path) -> None:
     assert np.count_nonzero(jumps > 0.8 * amplitude) == 3
 
 
-@pytest.mark.parametrize("centred", [False, True])
-def test_plate_with_a_sine(tmp_path: Path, centred: bool) -> None:
+@pytest.mark.parametrize("both_ways", [False, True])
+def test_plate_with_a_sine(tmp_path: Path, both_ways: bool) -> None:
     """The top of a plate, four periods a side: the mean height times the area."""
     side, amplitude = 8.0, 0.3
     inside = "where(z > 1.999, where(abs(x - 4) < 3.999, where(abs(y - 4) < 3.999, 1, 0), 0), 0)"
-    displacement = {"amplitude_mm": amplitude, "at": {"expression": inside}, "centred": centred, "resolution_mm": 0.08}
+    displacement = {
+        "amplitude_mm": amplitude,
+        "at": {"expression": inside},
+        "both_ways": both_ways,
+        "resolution_mm": 0.08,
+    }
     asked = {"period": 2.0, "bandwidth": 0.05, "orientation": 0}
     prepared = prepare(job(parts.box(tmp_path, (side, side, 2.0)), displacement, **asked))
     surface = closed(prepared)
     gained = prepared.volume_mm3 - prepared.mesh.volume_mm3
-    mean = 0.0 if centred else amplitude / 2
+    mean = 0.0 if both_ways else amplitude / 2
     z = in_file(prepared, surface.vertices)[:, 2]
     print(f"gained {gained:.4f} mm³ of {mean * side**2:.4f}; from {z.max():.4f}")
     assert gained == pytest.approx(mean * side**2, abs=0.03 * amplitude / 2 * side**2)
-    assert z.max() - 2 == pytest.approx(amplitude - (amplitude / 2 if centred else 0), rel=0.03)
+    assert z.max() - 2 == pytest.approx(amplitude - (amplitude / 2 if both_ways else 0), rel=0.03)
 
 
 def test_engraving(tmp_path: Path) -> None:

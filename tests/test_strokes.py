@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from pydantic import TypeAdapter, ValidationError
 
 from amslicer import JobError
-from amslicer.fields import PLANNED, FieldSpec, Frame, Inputs, open_field, open_orientation
+from amslicer.fields import FieldSpec, Frame, Inputs, open_field, open_orientation
 from amslicer.fields.brush import Brush, Painting
 
 Floats = NDArray[np.float64]
@@ -331,7 +331,6 @@ def test_limits(monkeypatch: pytest.MonkeyPatch) -> None:
     long = {**BARE, "path": [[1, 2]] * 50_001}
     with pytest.raises(ValidationError, match="100002 places"):
         TypeAdapter(FieldSpec).validate_python({"strokes": [long, long], "base": 0})
-    assert "strokes" not in PLANNED
 
 
 def test_its_file_is_named_and_can_be_renamed() -> None:

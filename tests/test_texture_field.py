@@ -19,7 +19,7 @@ from scipy import stats
 from scipy.ndimage import gaussian_filter
 
 from amslicer import JobError, randomphase
-from amslicer.fields import PLANNED, FieldSpec, Frame, Inputs, Sampler, open_field
+from amslicer.fields import FieldSpec, Frame, Inputs, Sampler, open_field
 from amslicer.fields import texture as module
 from amslicer.fields.orientation import Angles
 from amslicer.placement import Placement, place
@@ -382,10 +382,6 @@ def test_it_is_not_the_picture() -> None:
 
 
 # The job file's words
-
-
-def test_it_is_built() -> None:
-    assert "texture" not in PLANNED
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ from pydantic import TypeAdapter, ValidationError
 from test_volumefiles import npy, npz, nrrd_file, tiff, vti
 
 from amslicer import JobError, slice_job
-from amslicer.fields import PLANNED, FieldSpec, Frame, Inputs, Sampler, open_field, open_orientation, voxels
+from amslicer.fields import FieldSpec, Frame, Inputs, Sampler, open_field, open_orientation, voxels
 from amslicer.fields import source as source_module
 from amslicer.fields.orientation import Orientation
 from amslicer.fields.source import Source
@@ -488,7 +488,6 @@ def test_keys_that_cannot_be(settings: dict[str, Any], why: str) -> None:
 
 
 def test_it_is_on_the_list_and_its_file_is_known() -> None:
-    assert "volume" not in PLANNED
     source: Source = spec(volume="in/a.npy")
     assert source.paths() == ("in/a.npy",)
     assert source.with_paths({"in/a.npy": "b.npy"}).paths() == ("b.npy",)

@@ -50,8 +50,6 @@ SOURCES: dict[str, type[Source]] = {
     "points": PointsSource,
     "strokes": StrokesSource,
 }
-# Sources of the job file's language that this version does not have yet.
-PLANNED: tuple[str, ...] = ()
 
 
 def source_name(value: Any) -> str | None:
@@ -92,7 +90,6 @@ else:
         _model.model_rebuild()
 
 __all__ = [
-    "PLANNED",
     "SOURCES",
     "FieldSpec",
     "Frame",

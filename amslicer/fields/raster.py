@@ -39,11 +39,19 @@ class Raster:
 
         return Raster(self.texels, along(self.columns, columns), along(self.rows, rows))
 
+    @property
+    def is_plain(self) -> bool:
+        """Whether the texel above a column is the next one, wherever it counts."""
+        below, above, share = self.columns
+        return bool(np.all((above == below + 1) | (share == 0)))
+
     def used(self) -> Raster:
         """The same with the rows of texels alone that lie between pixels."""
         below, above, share = self.rows
         first, end = int(below.min()), int(above.max()) + 1
-        return Raster(self.texels[first:end], self.columns, (below - first, above - first, share))
+        return Raster(
+            np.asarray(self.texels[first:end], np.float32), self.columns, (below - first, above - first, share)
+        )
 
 
 @runtime_checkable
@@ -57,4 +65,6 @@ class Rastered(Protocol):
 def raster_of(values: NDArray[np.floating]) -> Raster:
     """(R, C) values that are the pixels' own."""
     rows, columns = (np.arange(count) for count in values.shape)
-    return Raster(values, (columns, columns, np.zeros(len(columns))), (rows, rows, np.zeros(len(rows))))
+    return Raster(
+        np.asarray(values, np.float32), (columns, columns, np.zeros(len(columns))), (rows, rows, np.zeros(len(rows)))
+    )

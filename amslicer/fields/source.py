@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import mmap
 import os
 import stat
@@ -137,12 +138,24 @@ class Inputs:
         files: what was read: path as written in the job file, to its bytes.
         allow_outside: whether paths may leave the folder.
         maps: large files that were mapped instead of read.
+        digests: of the files for which `digest` was asked.
     """
 
     folder: Path
     files: dict[str, bytes] = field(default_factory=dict)
     allow_outside: bool = False
     maps: dict[str, Mapped] = field(default_factory=dict)
+    digests: dict[str, str] = field(default_factory=dict)
+
+    def digest(self, name: str) -> str:
+        """BLAKE2 of a field file's bytes, 64 hexadecimal digits: of large files three times as fast as SHA-256.
+
+        Raises:
+            JobError: as map.
+        """
+        if name not in self.digests:
+            self.digests[name] = hashlib.blake2b(self.map(name), digest_size=32).hexdigest()
+        return self.digests[name]
 
     def read(self, name: str) -> bytes:
         """The bytes of a field file.
