@@ -5,9 +5,8 @@
 
 A vertex goes by amplitude · at · h, outwards; h is the waveform, from 0 to 1, of the pattern's phase there, or the
 field; -½ to ½ with `both_ways`. Faces that meet at an edge both move by that much (amslicer/refine.py). An amplitude
-below
-0 engraves. `pwm` is 1 where the first material is. Of noises that are read by value, h is the waveform of the value's
-rank, so that heights are spread as they are for a phase.
+below 0 engraves. `pwm` is 1 where the first material is. Of noises that are read by value, h is the waveform of the
+value's rank, so that heights are spread as they are for a phase.
 
 Triangles are refined first, so that no edge is longer than the resolution. Where a waveform jumps, the surface does so
 within one edge: it is that steep, and the lowest and highest points of a sawtooth are missed by less than an edge's

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from amslicer.fields.orientation import Lines, principal_lines, tensors_of, unit_vectors
+from amslicer.fields.raster import Raster
 from amslicer.fields.source import one_tap
 
 if TYPE_CHECKING:
@@ -85,6 +86,13 @@ class Nodes:
             low, high = (_lerp(planes[p, :, r, c0], planes[p, :, r, c1], shares[0]) for r in (r0, r1))
             ends.append(_lerp(low, high, shares[1]))
         return np.moveaxis(_lerp(ends[0], ends[1], shares[2]), -1, 0)
+
+    def raster(self, x: Floats, y: Floats, z: Floats) -> Raster:
+        """The plane at one height of the first channel, as texels of a raster."""
+        below, above, share = self._neighbours(z, 2)
+        low, high = (self._plane(int(i.flat[0]))[0] for i in (below, above))
+        texels = low + np.float32(share.flat[0]) * (high - low)
+        return Raster(texels, self._neighbours(x[0], 0), self._neighbours(y[:, 0], 1))
 
     def bounds(self) -> tuple[float, float]:
         """The smallest and the largest value at any node; makes them all."""
@@ -171,6 +179,13 @@ class NodesSampler:
         """Values at points, within the bounds."""
         values: Floats = self.nodes.at(x, y, z)[0]
         return values if self.known_bounds is None else np.clip(values, *self.known_bounds)
+
+    def raster(self, x: Floats, y: Floats, z: Floats) -> Raster:
+        """The nodes at one height, as texels of a raster; within the bounds."""
+        found = self.nodes.raster(x, y, z)
+        if self.known_bounds is None:
+            return found
+        return Raster(np.clip(found.texels, *np.array(self.known_bounds, np.float32)), found.columns, found.rows)
 
     def taps(self, x: Floats, y: Floats, z: Floats) -> tuple[Floats, Floats]:
         """One sample of weight 1 per point: an angle that is a plain number."""
