@@ -1,6 +1,7 @@
 """What a part's bodies are called, and which triangles each has.
 
-Of a file with named objects (3MF, OBJ, GLB) a body is all that has one name. Of others each outward surface is one,
+Of a file with named objects (3MF, OBJ, GLB) a body is all that has one name; each must be a solid by itself. An OBJ
+file's groups count as objects where it names none and all of them are solids. Of others each outward surface is a body,
 with the cavities inside it, called "1", "2", … in the order of their first triangles.
 """
 
@@ -75,9 +76,17 @@ def find_bodies(mesh: Mesh) -> Bodies:
     """The bodies of a part.
 
     Raises:
-        JobError: there are more than can be numbered.
+        JobError: there are more than can be numbered, or a named object is no solid by itself.
     """
     if mesh.object_of is not None:
+        unclosed = unclosed_pieces(mesh.vertices, mesh.triangles, mesh.object_of)
+        if unclosed.size:
+            names = listed([mesh.object_names[number] for number in unclosed])
+            raise JobError(
+                f"{mesh.file}: {names} {'is an object' if unclosed.size == 1 else 'are objects'} of the file, but only "
+                "part of a solid's surface: no body by itself",
+                hint="close each object before exporting it, or join those that bound one solid",
+            )
         found = Bodies(mesh.object_names, mesh.object_of)
     else:
         of_triangle = _with_cavities(mesh)
@@ -88,6 +97,23 @@ def find_bodies(mesh: Mesh) -> Bodies:
             hint="join those that belong together, or leave out what speaks of bodies",
         )
     return found
+
+
+def unclosed_pieces(vertices: Floats, triangles: Ints, piece_of: Ints) -> Ints:
+    """Numbers of the pieces of a mesh that have an edge which is closed in the whole, but not by the piece itself.
+
+    Args:
+        piece_of: (T,) number of each triangle's piece.
+    """
+    if not len(triangles):
+        return np.zeros(0, np.int64)
+    uses = edge_uses(vertices, triangles)
+    whole = np.bincount(uses.edge, uses.sign) == 0
+    piece = piece_of[uses.triangle]
+    count = int(piece_of.max()) + 1
+    of_piece, which = np.unique(uses.edge * count + piece, return_inverse=True)
+    open_ = np.bincount(which.reshape(-1), uses.sign) != 0
+    return np.asarray(np.unique((of_piece % count)[open_ & whole[of_piece // count]]), np.int64)
 
 
 def body_table(mesh: Mesh) -> list[Body]:

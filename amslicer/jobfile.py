@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -375,6 +375,31 @@ def _refuse_contradictions(spec: JobFile, origin: Origin) -> None:
             "fields.orientation.vector: has a z component, but pattern.dimensions is 2: the same in every layer",
             "set pattern.dimensions to 3, or the third component to 0",
         )
+    for path, plane, reads in _upright_pictures(fields.orientation, ("fields", "orientation")):
+        if pattern.dimensions == 2:
+            raise origin.error(
+                path,
+                f"{'.'.join(map(str, path))}: directions of reads: {reads} in the plane {plane} leave the layer, but "
+                "pattern.dimensions is 2: the same in every layer",
+                "set pattern.dimensions to 3, or paint the directions as seen from above",
+            )
+
+
+def _upright_pictures(node: Any, path: KeyPath) -> Iterator[tuple[KeyPath, str, str]]:
+    """Where pictures of directions stand in an upright plane: the key, its plane and what is read."""
+    from pydantic import BaseModel
+
+    from amslicer.fields.image import NUMBERS, PictureSource
+
+    if isinstance(node, PictureSource):
+        if node.plane != "xy" and node.reads not in NUMBERS:
+            yield (*path, "plane"), node.plane, str(node.reads)
+    elif isinstance(node, BaseModel):
+        for key, info in type(node).model_fields.items():
+            yield from _upright_pictures(getattr(node, key), (*path, info.alias or key))
+    elif isinstance(node, dict | tuple):
+        for step, child in node.items() if isinstance(node, dict) else enumerate(node):
+            yield from _upright_pictures(child, (*path, step))
 
 
 def _refuse_keys_of_others(spec: JobFile, origin: Origin) -> None:

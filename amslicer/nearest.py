@@ -8,7 +8,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from threading import Lock
 from typing import TYPE_CHECKING, Any
+from weakref import WeakValueDictionary
 
 import numpy as np
 
@@ -22,7 +24,9 @@ if TYPE_CHECKING:
     Bools = NDArray[np.bool_]
 
 INSIDE = 0.5  # winding number: halfway between the inside and the outside of one shell
-BESIDE = 1e-4  # of the part's size: how far off a wall its sides are looked at; the winding numbers are float32
+BESIDE = 1e-4  # of the part's size: nearer to a wall, winding numbers (float32) may tell the wrong side
+BEYOND = 1e-5  # of the part's size: how far in front of a wall there may be solid; 160 times float32's rounding
+MOST_BODIES, MOST_PAIRS = 2000, 50_000  # whose boxes are compared, a second's work; of more, all walls are looked at
 FINEST = 1 / 200  # of the part's size: pieces that walls are cut into where another body cuts through them
 ON_SURFACE = 1e-6  # of the part's size: nearer, the way to the nearest point is no direction
 BLOCKS = (12, 4)  # spacings along blocks of points that are looked at as one first: 144 and 16 of a plane of nodes
@@ -38,6 +42,29 @@ QUARTERS = np.array(
 )  # fmt: skip
 
 
+# Of jobs that are under way: several fields look at the same one. A surface keeps its arrays alive, so that no others
+# have their ids.
+_MADE: WeakValueDictionary[tuple[int, int, bool], Surface] = WeakValueDictionary()
+_MAKING = Lock()
+
+
+def surface_of(vertices: Floats, triangles: Ints, inner_walls: bool = False) -> Surface:
+    """The surface of a solid; the same one where the same arrays are asked about again. In any thread.
+
+    Args:
+        inner_walls: with the walls of bodies that overlap or touch.
+    """
+    key = (id(vertices), id(triangles), inner_walls)
+    with _MAKING:
+        made = _MADE.get(key)
+        if made is None:
+            made = Surface.of(vertices, triangles)
+            if not inner_walls and made.may_have_inner_walls():
+                made = made.without_inner_walls()
+            _MADE[key] = made
+        return made
+
+
 @dataclass(frozen=True, eq=False)
 class Surface:
     """A solid, and those of its triangles (or pieces of them) that count as its surface. In any thread.
@@ -48,6 +75,7 @@ class Surface:
         corners: (P, 3, 3) mm, corners of the pieces that count.
         parent: (P,) the triangle that each is a piece of.
         whole: whether the pieces bound the solid; else they are some of its faces.
+        parts_of: of some faces, the surface that they are of.
     """
 
     vertices: Floats
@@ -55,6 +83,7 @@ class Surface:
     corners: Floats
     parent: Ints
     whole: bool = True
+    parts_of: Surface | None = None
 
     @classmethod
     def of(cls, vertices: Floats, triangles: Ints) -> Surface:
@@ -69,17 +98,18 @@ class Surface:
         Triangles that are partly such are cut into pieces of FINEST. A part of a wall is missed where it touches none
         of the SAMPLES of a triangle.
         """
-        corners, parent = self.corners, self.parent
-        kept: list[tuple[Floats, Ints]] = []
+        met = self._may_be_within_another()[self.parent]
+        kept: list[tuple[Floats, Ints]] = [(self.corners[~met], self.parent[~met])]
+        corners, parent = self.corners[met], self.parent[met]
         finest = FINEST * self.size_mm
         while len(corners):
-            outer = self._between(corners)
+            small = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1) <= finest
+            outer = np.zeros((len(corners), len(SAMPLES)), bool)
+            outer[small] = self._faces_air(corners[small], SAMPLES[-1:])
+            outer[~small] = self._faces_air(corners[~small], SAMPLES)
             all_, any_ = outer.all(axis=1), outer.any(axis=1)
-            longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
-            small = longest <= finest
-            keep = all_ | (small & outer[:, -1])
-            kept.append((corners[keep], parent[keep]))
-            cut = any_ & ~all_ & ~small
+            kept.append((corners[all_], parent[all_]))
+            cut = any_ & ~all_
             corners = np.einsum("qab,nbk->nqak", QUARTERS, corners[cut]).reshape(-1, 3, 3)
             parent = np.repeat(parent[cut], 4)
         return Surface(
@@ -98,17 +128,53 @@ class Surface:
 
     def only(self, faces: Bools) -> Surface:
         """Some of the pieces, (P,) bool."""
-        return Surface(self.vertices, self.triangles, self.corners[faces], self.parent[faces], whole=False)
+        return Surface(self.vertices, self.triangles, self.corners[faces], self.parent[faces], False, self)
 
-    def _between(self, corners: Floats) -> Bools:
-        """(P, samples) whether solid lies on the inner and air on the outer side of each sample."""
+    def _faces_air(self, corners: Floats, samples: Floats) -> Bools:
+        """(P, samples) whether air lies on the outer side of each sample.
+
+        The inner side is not looked at: behind a wall is its own body, however thin.
+        """
         areas = area_vectors(corners)
         normals = (areas / np.linalg.norm(areas, axis=1, keepdims=True))[:, None, :]
-        places = np.einsum("sa,pak->psk", SAMPLES, corners)
-        step = BESIDE * self.size_mm * normals
-        within, without = (self.inside((places + side * step).reshape(-1, 3)) for side in (-1, 1))
-        shape = places.shape[:2]
-        return np.asarray(within.reshape(shape) & ~without.reshape(shape))
+        places = np.einsum("sa,pak->psk", samples, corners) + BEYOND * self.size_mm * normals
+        turns = self._winding.winding_number(np.ascontiguousarray(places.reshape(-1, 3)))
+        return np.asarray(np.abs(turns) <= INSIDE).reshape(places.shape[:2])
+
+    def _may_be_within_another(self) -> Bools:
+        """(T,) whether a triangle of the solid is in the box of another body than its own, or its body is unclear."""
+        from amslicer.bodynames import unclosed_pieces
+        from amslicer.components import connected_components
+        from amslicer.surface import edge_uses
+
+        count = len(self.triangles)
+        uses = edge_uses(self.vertices, self.triangles)
+        paired = (np.bincount(uses.edge) == 2)[uses.edge]
+        linked = np.flatnonzero(paired[1:] & (uses.edge[1:] == uses.edge[:-1]))
+        body = connected_components(count, uses.triangle[linked], uses.triangle[linked + 1])
+        # Those that share whole faces with others are one here, all of which is looked at.
+        unclear = np.isin(body, unclosed_pieces(self.vertices, self.triangles, body))
+        body = np.unique(np.where(unclear, -1, body), return_inverse=True)[1].reshape(-1)
+        order = np.argsort(body, kind="stable")
+        first = np.flatnonzero(np.diff(body[order], prepend=-1))
+        corners, margin = self.vertices[self.triangles], 2 * BEYOND * self.size_mm
+        low, high = corners.min(axis=1) - margin, corners.max(axis=1) + margin
+        lows, highs = np.minimum.reduceat(low[order], first), np.maximum.reduceat(high[order], first)
+        if len(first) > MOST_BODIES:
+            return np.ones(count, bool)
+        meet = np.ones((len(first), len(first)), bool)
+        for axis in range(3):
+            meet &= (lows[:, None, axis] <= highs[None, :, axis]) & (highs[:, None, axis] >= lows[None, :, axis])
+        np.fill_diagonal(meet, False)
+        pairs = np.argwhere(meet)
+        if len(pairs) > MOST_PAIRS:
+            return np.ones(count, bool)
+        bounds = np.append(first, count)
+        found = unclear
+        for one, other in pairs.tolist():
+            own = order[bounds[one] : bounds[one + 1]]
+            found[own] |= np.all((low[own] <= highs[other]) & (high[own] >= lows[other]), axis=1)
+        return found
 
     @cached_property
     def size_mm(self) -> float:

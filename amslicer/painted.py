@@ -14,6 +14,7 @@ from amslicer.fields import Frame, Sampler, open_field, open_orientation
 from amslicer.fields.materialmap import MaterialMap
 from amslicer.fields.orientation import Angles, Orientation, Vector
 from amslicer.fields.raster import Raster, Rastered, raster_of
+from amslicer.fields.source import Source
 from amslicer.profiles.waveforms import BlendShape
 from amslicer.specification import REST, AzimuthElevation, VectorComponents, shares_by_material
 
@@ -300,7 +301,8 @@ class Painted:
 def _out_of_range(key: str, value: float, where: str, what: str) -> JobError:
     return JobError(
         f"{key} is {value:.4g} at {where}; {what} is between 0 and 1",
-        hint="change the field's range (or from and to) so that it stays within 0 and 1, or clip() an expression",
+        hint="change the field's range (or from and to) so that it stays within 0 and 1, clip() an expression, or give "
+        "points within: [0, 1]: a thin plate overshoots them",
     )
 
 
@@ -375,6 +377,9 @@ def _open_shares(job: Job, frame: Frame) -> tuple[Sampler | None, ...]:
 def _open_orientation(job: Job, frame: Frame) -> Orientation:
     spec = job.spec.fields.orientation
     if isinstance(spec, AzimuthElevation):
+        for key, angle in (("azimuth", spec.azimuth), ("elevation", spec.elevation)):
+            if isinstance(angle, Source):
+                angle.check_angles(f"fields.orientation.{key}")
         return Angles(open_field(spec.azimuth, frame, job.inputs), open_field(spec.elevation, frame, job.inputs))
     if isinstance(spec, VectorComponents):
         x, y, z = (open_field(component, frame, job.inputs) for component in spec.vector)

@@ -433,7 +433,7 @@ def make_layers(
         parts = pool.map(lambda share: prepared.slicer.runs(int(share[0]), int(share[-1]) + 1), shares)
         runs, given = join_runs(list(parts)), Given()
         if regions is not None:
-            runs, given = regions.split(runs, first)
+            runs, given = regions.split(runs, first, pool.map)
         if pattern.may_be_plain:
             painted.result()
         block = pattern.block(runs, first)

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Callable
-from dataclasses import dataclass, field
-from threading import RLock
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from threading import Lock
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from amslicer.mask import Runs
-from amslicer.skin import Skin
+from amslicer.mask import Runs, join_runs
+from amslicer.skin import Skin, ends_of_runs
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -21,8 +22,7 @@ if TYPE_CHECKING:
 
     Bools = NDArray[np.bool_]
 
-LAYERS_AT_ONCE = 8  # sliced together
-KEPT = 32  # layers whose labels are kept
+LAYERS_AT_ONCE, KEPT = 16, 256  # layers that are sliced together, and whose runs are kept
 NO_BODY = -1
 
 
@@ -44,55 +44,64 @@ class Regions:
     body_material: tuple[int, ...] = ()
     void: int = 0
     skin: tuple[int, float, float, float] | None = None
-    _solid: OrderedDict[int, Bools] = field(default_factory=OrderedDict)
-    _labels: OrderedDict[int, NDArray[np.uint8]] = field(default_factory=OrderedDict)
-    _skins: list[Skin] = field(default_factory=list)
-    _lock: RLock = field(default_factory=RLock)
+    _runs: OrderedDict[int, Runs] = field(default_factory=OrderedDict)
+    _lock: Lock = field(default_factory=Lock)
 
     def labels(self, layer: int) -> NDArray[np.uint8]:
         """(rows, columns) material of each pixel, from 1 on; 0 where the pattern decides, and outside the part."""
-        with self._lock:
-            if layer not in self._labels:
-                labels = self._of_bodies(layer)
-                if self.skin is not None:
-                    labels[self._skin.of_layer(layer)] = self.skin[0]
-                self._labels[layer] = labels
-                while len(self._labels) > KEPT:
-                    self._labels.popitem(last=False)
-            return self._labels[layer]
+        labels = self._of_bodies(layer)
+        if self.skin is not None:
+            labels[self._skin.of_layer(layer)] = self.skin[0]
+        return labels
 
     def solid(self, layer: int) -> Bools:
         """(rows, columns) what the mesh winds around."""
         with self._lock:
-            if layer not in self._solid:
+            if layer not in self._runs:
                 first = layer // LAYERS_AT_ONCE * LAYERS_AT_ONCE
                 end = min(first + LAYERS_AT_ONCE, self.grid.layers)
-                self._solid.update(zip(range(first, end), self.slicer.runs(first, end).solid(), strict=True))
-                while len(self._solid) > 2 * LAYERS_AT_ONCE:
-                    self._solid.popitem(last=False)
-            return self._solid[layer]
+                runs = self.slicer.runs(first, end)
+                self._runs.update({first + i: runs.part(i, i + 1) for i in range(end - first)})
+                while len(self._runs) > KEPT:
+                    self._runs.popitem(last=False)
+            found = self._runs[layer]
+        out: Bools = found.solid()[0]
+        return out
 
-    def split(self, runs: Runs, first: int) -> tuple[Runs, dict[int, NDArray[np.uint8]]]:
+    def split(
+        self, runs: Runs, first: int, each: Callable[..., Iterable[Any]] = map
+    ) -> tuple[Runs, dict[int, NDArray[np.uint8]]]:
         """Solid pixels apart: those that the pattern decides, and those of each given material.
 
         Args:
             runs: the solid pixels of some layers.
             first: the part's number of the first of them.
+            each: like map; over threads it is that much faster.
 
         Returns:
             Runs of the pattern's pixels; per material (layers, rows, bytes) bits, the highest first.
         """
-        solid = runs.solid()
-        labels = np.stack([self.labels(first + layer) for layer in range(runs.layers)])
-        given = {int(m): np.packbits((labels == m) & solid, axis=-1) for m in np.unique(labels) if m}
-        return runs_of(solid & (labels == 0), self.grid, runs.overlap_px), given
+        if self.skin is not None:
+            self._skin.prepare(first, first + runs.layers, each)
+        apart = list(each(lambda layer: self._apart(runs.part(layer, layer + 1), first + layer), range(runs.layers)))
+        given = {m: np.stack([of_layer[m] for _, of_layer in apart]) for m in self._materials}
+        return replace(join_runs([pattern for pattern, _ in apart]), overlap_px=runs.overlap_px), given
+
+    def _apart(self, runs: Runs, layer: int) -> tuple[Runs, dict[int, NDArray[np.uint8]]]:
+        """As split, of one layer."""
+        solid, labels = runs.solid()[0], self.labels(layer)
+        given = {m: np.packbits((labels == m) & solid, axis=-1) for m in self._materials}
+        return runs_of((solid & (labels == 0))[None], self.grid, runs.overlap_px), given
 
     @property
+    def _materials(self) -> list[int]:
+        """Those that pixels may be given."""
+        return sorted({*self.body_material, *(self.skin or ())[:1]} - {0})
+
+    @cached_property
     def _skin(self) -> Skin:
-        if not self._skins:
-            assert self.skin is not None
-            self._skins.append(Skin(self._printed, self.grid, *self.skin[1:]))
-        return self._skins[0]
+        assert self.skin is not None
+        return Skin(self._printed, self.grid, *self.skin[1:])
 
     def _printed(self, layer: int) -> Bools:
         """What is solid and no cavity: a skin goes around cavities too."""
@@ -108,7 +117,4 @@ class Regions:
 
 def runs_of(solid: Bools, grid: Grid, overlap_px: NDArray[np.int64] | None) -> Runs:
     """Runs of (layers, rows, columns) pixels."""
-    edges = np.diff(np.pad(solid.reshape(-1, grid.columns), ((0, 0), (1, 1))).astype(np.int8), axis=1)
-    row, start = np.nonzero(edges > 0)
-    _, stop = np.nonzero(edges < 0)
-    return Runs(len(solid), grid, row, start, stop, overlap_px)
+    return Runs(len(solid), grid, *ends_of_runs(solid.reshape(-1, grid.columns)), overlap_px)

@@ -112,6 +112,81 @@ def test_quads_count_as_two_triangles(tmp_path: Path) -> None:
     assert [(row.name, row.triangles, round(row.volume_mm3, 9)) for row in table] == [("block", 12, 6), ("more", 12, 6)]
 
 
+BOX_QUADS = ((2, 4, 3, 1), (7, 8, 6, 5), (5, 6, 2, 1), (4, 8, 7, 3), (3, 7, 5, 1), (6, 8, 4, 2))
+
+
+def faces_obj(named: list[tuple[str, list[tuple[float, float, float]], list[tuple[int, ...]]]]) -> bytes:
+    """An OBJ of lines such as `o left`, corners, and faces that count from 1 in each."""
+    lines, start = [], 0
+    for line, corners, faces in named:
+        lines += [line, *(f"v {x} {y} {z}" for x, y, z in corners)]
+        lines += ["f " + " ".join(str(corner + start) for corner in face) for face in faces]
+        start += len(corners)
+    return "\n".join(lines).encode()
+
+
+def quad_box(x: float, cut: int) -> tuple[list[tuple[float, float, float]], list[tuple[int, ...]]]:
+    """A cube of side 3 at x; the first `cut` of its quads as two triangles."""
+    corners = [(x + 3 * i, 3.0 * j, 3.0 * k) for i in (0, 1) for j in (0, 1) for k in (0, 1)]
+    faces = [[q] if n >= cut else [(q[0], q[1], q[2]), (q[0], q[2], q[3])] for n, q in enumerate(BOX_QUADS)]
+    return corners, [tuple(face) for some in faces for face in some]
+
+
+def prism(x: float) -> tuple[list[tuple[float, float, float]], list[tuple[int, ...]]]:
+    """A pentagonal prism of radius 2 and height 3: pentagons and quads."""
+    turn = 2 * np.pi * np.arange(5) / 5
+    ring = [(float(x + 2 * np.cos(a)), float(2 * np.sin(a))) for a in turn]
+    sides = [(i + 1, (i + 1) % 5 + 1, (i + 1) % 5 + 6, i + 6) for i in range(5)]
+    corners = [(*xy, z) for z in (0.0, 3.0) for xy in ring]
+    return corners, [(5, 4, 3, 2, 1), *sides, (6, 7, 8, 9, 10)]
+
+
+@pytest.mark.parametrize("cuts", [(0, 0), (6, 0), (0, 6), (2, 4), (6, 6)])
+def test_names_belong_to_the_faces_below_them_whatever_their_corners(tmp_path: Path, cuts: tuple[int, int]) -> None:
+    content = faces_obj([("o left", *quad_box(0, cuts[0])), ("o right", *quad_box(10, cuts[1]))])
+    left, right = body_table(written(tmp_path, content, "obj"))
+    assert (left.name, left.triangles, right.name, right.triangles) == ("left", 12, "right", 12)
+    np.testing.assert_allclose(left.bbox_mm, [[0, 0, 0], [3, 3, 3]])
+    np.testing.assert_allclose(right.bbox_mm, [[10, 0, 0], [13, 3, 3]])
+
+
+def test_names_of_prisms_and_boxes(tmp_path: Path) -> None:
+    content = faces_obj([("o a", *prism(0)), ("o b", *quad_box(10, 1)), ("o c", *prism(20)), ("o d", *prism(30))])
+    table = body_table(written(tmp_path, content, "obj"))
+    assert [(row.name, row.triangles) for row in table] == [("a", 16), ("b", 12), ("c", 16), ("d", 16)]
+    pentagon = 2.5 * 2**2 * np.sin(2 * np.pi / 5)
+    assert [row.volume_mm3 for row in table] == pytest.approx([3 * pentagon, 27, 3 * pentagon, 3 * pentagon])
+
+
+def test_groups_that_are_parts_of_a_surface_are_no_bodies(tmp_path: Path) -> None:
+    corners, faces = quad_box(0, 0)
+    lines = faces_obj([("g top", corners, faces[:2]), ("g sides", [], [])]).decode()
+    more = "\n".join("f " + " ".join(map(str, face)) for face in faces[2:])
+    groups = f"{lines}\n{more}\n".encode()
+    assert [(row.name, row.volume_mm3) for row in body_table(written(tmp_path, groups, "obj"))] == [("1", 27)]
+    with pytest.raises(JobError, match="'top', 'sides' are objects of the file, but only part of a solid"):
+        find_bodies(written(tmp_path, groups.replace(b"g ", b"o "), "obj"))
+
+
+def test_objects_of_an_open_mesh_may_be_open_where_it_is(tmp_path: Path) -> None:
+    content = faces_obj([("o a", quad_box(0, 0)[0], quad_box(0, 0)[1][1:]), ("o b", *quad_box(10, 0))])
+    (tmp_path / "open.obj").write_bytes(content)
+    assert find_bodies(read_mesh(tmp_path / "open.obj", allow_open=True)).names == ("a", "b")
+
+
+def test_what_a_name_is(tmp_path: Path) -> None:
+    far = meshes.moved(LEFT, (10, 0, 0))
+
+    def names(*named: tuple[str, Solid], end: bytes = b"") -> tuple[str, ...]:
+        return find_bodies(written(tmp_path, obj(list(named)) + end, "obj")).names
+
+    assert names(("o a#1", LEFT), ("o a#2 # the second", far)) == ("a#1", "a#2")
+    assert names(("", LEFT), ("", far), end=b"\no last\n") == ("1", "2")
+    assert names(("o none\ng a", LEFT), ("g b", far), end=b"\n") == ("none",)
+    assert names(("g a", LEFT), ("g b", far), end=b"\no last\n") == ("a", "b")
+    assert names(("", LEFT), ("o 1", far)) == ("1 (unnamed)", "1")
+
+
 def test_objects_of_one_name_are_one_body_and_some_may_have_none(tmp_path: Path) -> None:
     far = meshes.moved(LEFT, (10, 0, 0))
     for content, suffix in (

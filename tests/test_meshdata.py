@@ -19,9 +19,10 @@ from scipy.spatial import Delaunay
 from amslicer import JobError
 from amslicer.fields import FieldSpec, Frame, Inputs, open_field, open_orientation, results
 from amslicer.fields.constant import ConstantSampler
-from amslicer.fields.meshdata import von_mises
+from amslicer.fields.meshiochild import read_beside
 from amslicer.fields.orientation import Angles
 from amslicer.fields.simplices import cut
+from amslicer.fields.tensors import von_mises
 from amslicer.pipeline import prepare
 
 pytest.importorskip("igl")
@@ -35,6 +36,13 @@ FRAME = Frame(MINIMUM, SIZE)
 NAME = "result.vtu"
 PLACES = np.random.default_rng(1).uniform(0, 1, (500, 3)) * SIZE
 FLOAT32 = 1e-6  # of values about 1: the grid keeps its nodes in single precision
+
+
+@pytest.fixture(autouse=True)
+def _in_this_process(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """meshio takes half a second to start: only the tests of that have it in a process of its own."""
+    if "apart" not in request.keywords:
+        monkeypatch.setattr(results, "_run_reader", lambda path, reader, array, size: read_beside(path, reader, array))
 
 
 # Meshes of a box, cut independently of the package

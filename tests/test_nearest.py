@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
+
 import meshes
 import numpy as np
 import pytest
 from meshes import Solid
 from numpy.typing import NDArray
 
-from amslicer.nearest import Surface, barycentric
+from amslicer.nearest import Surface, barycentric, surface_of
 
 Floats = NDArray[np.float64]
 
@@ -148,3 +150,48 @@ def test_barycentric() -> None:
     shares = np.random.default_rng(1).dirichlet((1, 1, 1), 10)
     found = barycentric(corners, np.einsum("nk,nkc->nc", shares, corners))
     np.testing.assert_allclose(found, shares, atol=1e-9)
+
+
+def test_thin_walls_stay_the_surface_and_do_not_hide_touching_ones() -> None:
+    """A film, and a block under one corner of it."""
+    film = meshes.box((200.0, 200.0, 0.015), (0.0, 0.0, 10.0))
+    solid = meshes.joined(film, meshes.box((20.0, 20.0, 10.0)))
+    outer = surface(solid).without_inner_walls()
+    middle = np.array([[100.0, 100.0, 10.0075]])
+    np.testing.assert_allclose(outer.depths(middle, -1, 1, 0.5), [0.0075], atol=1e-9)
+    under = np.array([[10.0, 10.0, 9.0]])  # the block's top is no surface: 1.015 mm below the film's
+    np.testing.assert_allclose(outer.depths(under, -9, 9, 0.5), [1.015], atol=1e-3)
+
+
+@pytest.mark.parametrize("shift", [(2.5, 0.0, 0.0), (5.0, 0.4, 0.1), (9.0, 0.0, 0.0)])
+def test_walls_of_spheres_that_overlap_are_those_of_formulas(shift: tuple[float, float, float]) -> None:
+    solid = meshes.joined(meshes.sphere(3.0, 4), meshes.moved(meshes.sphere(3.0, 4), shift))
+    corners = surface(solid).without_inner_walls().corners
+    centres = corners.mean(axis=1)
+    size = float(np.ptp(solid[0], axis=0).max())
+    for middle in (np.zeros(3), np.array(shift)):
+        assert np.linalg.norm(centres - middle, axis=1).min() > 3.0 - size / 100
+    # What two spheres have in common is twice a cap's height deep.
+    cap = max(3.0 - np.linalg.norm(shift) / 2, 0.0)
+    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1).sum() / 2
+    assert area == pytest.approx(2 * (4 * np.pi * 9 - 2 * np.pi * 3 * cap), rel=0.01)
+
+
+def test_only_triangles_in_another_bodys_box_are_looked_at() -> None:
+    solid = meshes.joined(meshes.sphere(3.0, 4), meshes.moved(meshes.sphere(3.0, 4), (5.0, 0.0, 0.0)))
+    met = surface(solid)._may_be_within_another()
+    centres = solid[0][solid[1]].mean(axis=1)
+    assert not met[(centres[:, 0] < 1.5) | (centres[:, 0] > 3.5)].any()
+    assert met[(centres[:, 0] > 2) & (centres[:, 0] < 3)].all()
+
+
+def test_a_surface_is_made_once_for_several_fields() -> None:
+    vertices, triangles = meshes.joined(meshes.box(), meshes.box((1.0, 1.0, 9.0), (1.0, 1.0, 1.0)))
+    with ThreadPoolExecutor(4) as pool:
+        made = list(pool.map(lambda _: surface_of(vertices, triangles), range(8)))
+    assert all(one is made[0] for one in made)
+    walls = surface_of(vertices, triangles, inner_walls=True)
+    assert len(walls.corners) == 24
+    some = made[0].only(made[0].normals[:, 2] > 0.5)
+    del made
+    assert surface_of(vertices, triangles) is some.parts_of

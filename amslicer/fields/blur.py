@@ -52,6 +52,11 @@ class BlurSource(Source):
 
     blur: Blur = Field(description="{field: FIELD, mm: 2}: smoothed by a Gaussian of this standard deviation")
 
+    @property
+    def mixes_numbers(self) -> bool:
+        """Always."""
+        return True
+
     def open(self, frame: Frame, inputs: Inputs) -> Sampler:
         """The smoothed numbers over a part.
 

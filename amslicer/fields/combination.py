@@ -23,7 +23,8 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator, model_valida
 from amslicer.errors import JobError
 from amslicer.fields.choice import ChoiceOfLines, ChoiceSampler, all_equal, along_any
 from amslicer.fields.opening import open_field, open_orientation
-from amslicer.fields.source import Frame, Inputs, Number, Sampler, Source, one_tap
+from amslicer.fields.source import Frame, Inputs, Number, Sampler, Source, find_sources, one_tap
+from amslicer.fields.tables import LARGEST
 
 if TYPE_CHECKING:
     from typing import Self
@@ -38,6 +39,7 @@ if TYPE_CHECKING:
 
 ROUNDING = 1e-9  # how far interpolation may leave 0…1
 LOOKED_AT = 9  # places along each axis where a mix is looked at before anything is sliced
+LEAST_STEP = 1e-9  # of a curve, from one point to the next: less has no slope in numbers
 MOST_POINTS = 1000  # of a curve: more are a picture's job
 
 
@@ -88,6 +90,12 @@ class Remap(Content):
                 raise ValueError(
                     f"the first numbers must ascend, but {after:g} follows {before:g}; `where` makes steps"
                 )
+            # Of the larger number too: the differences of huge ones are rounding.
+            if not after - before >= LEAST_STEP * max(1.0, abs(before), abs(after)):
+                raise ValueError(f"{after:.17g} follows {before:.17g} too closely; `where` makes steps")
+        for number in (number for point in curve for number in point):
+            if abs(number) > LARGEST:
+                raise ValueError(f"has the number {number:g}; at most ±{LARGEST:g} is taken")
         return curve
 
 
@@ -112,7 +120,19 @@ class MixSource(Source):
             JobError: the share leaves 0…1, or one of the fields cannot be used.
         """
         a, b, by = (open_field(spec, frame, inputs) for spec in (self.mix.a, self.mix.b, self.mix.by))
+        for key, field in (("a", a), ("b", b)):
+            low, high = field.bounds
+            if np.isfinite([low, high]).all() and max(abs(low), abs(high)) > LARGEST:
+                raise JobError(
+                    f"mix.{key} has values from {low:g} to {high:g}; at most ±{LARGEST:g} is mixed",
+                    hint="change its numbers, or clip it",
+                )
         return MixSampler(a, b, _looked_at(Share(by, frame)))
+
+    @property
+    def mixes_numbers(self) -> bool:
+        """Where one of the two fields does; the share is no angle."""
+        return any(source.mixes_numbers for source in find_sources((self.mix.a, self.mix.b)))
 
     def open_orientation(self, frame: Frame, inputs: Inputs) -> Orientation:
         """The mixed directions over a part; raises as open does."""
@@ -176,6 +196,11 @@ class WhereSource(Source):
             return then if always else other
         return ChoiceSampler((other, then), self._chosen(mask), mask.varies)
 
+    @property
+    def mixes_numbers(self) -> bool:
+        """Where one of the two fields does; the mask is no angle."""
+        return any(source.mixes_numbers for source in find_sources((self.where.then, self.where.else_)))
+
     def open_orientation(self, frame: Frame, inputs: Inputs) -> Orientation:
         """The chosen directions over a part."""
         mask = open_field(self.where.mask, frame, inputs)
@@ -220,8 +245,9 @@ class Share:
                 for axis, place, low in zip("xyz", places, self.frame.minimum_mm, strict=True)
             )
             raise JobError(
-                f"mix.by is {shown[first]:.4g} at {where} mm (file coordinates); a share is between 0 and 1",
-                hint="change the field's range (or from and to), or give by: {clip: {field: …}}",
+                f"mix.by is {shown[first]:.4g} at {where} mm ({self.frame.coordinates}); a share is between 0 and 1",
+                hint="change the field's range (or from and to), or give by: {clip: {field: …}}; a thin plate "
+                "overshoots its points, unless it has within: [0, 1]",
             )
         return np.clip(values, 0.0, 1.0)
 

@@ -21,8 +21,9 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from amslicer.errors import JobError
-from amslicer.fields.nodes import Nodes, choose_spacing, lines_on_nodes
+from amslicer.fields.nodes import Nodes, lines_on_nodes
 from amslicer.fields.source import Frame, Inputs, Number, Sampler, Source, blend, one_tap
+from amslicer.fields.spacing import spacing_or_default
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -79,7 +80,7 @@ class DistanceSource(Source):
                 hint="use it under fields.orientation, or write {distance: {from: 0.2, to: 0.8, depth: 2.0}}",
             )
         by = self.distance
-        spacing = choose_spacing(frame.size_mm) if self.grid_mm is None else self.grid_mm
+        spacing = spacing_or_default(frame.size_mm, self.grid_mm, "distance")
         surface, margin = self._surface(frame), CELL * spacing
 
         def depths(places: Floats) -> Floats:
@@ -96,16 +97,14 @@ class DistanceSource(Source):
         """
         if not isinstance(self.distance, str):
             return super().open_orientation(frame, inputs)
-        spacing = DIRECTION_SPACINGS * choose_spacing(frame.size_mm) if self.grid_mm is None else self.grid_mm
+        spacing = spacing_or_default(frame.size_mm, self.grid_mm, "distance", DIRECTION_SPACINGS)
         return lines_on_nodes(self._surface(frame).directions, frame.size_mm, spacing)
 
     def _surface(self, frame: Frame) -> Surface:
-        from amslicer.nearest import Surface
+        from amslicer.nearest import surface_of
 
         mesh = frame.part("distance").mesh
-        surface = Surface.of(mesh.vertices, mesh.triangles)
-        if self.per == "part" and surface.may_have_inner_walls():
-            surface = surface.without_inner_walls()
+        surface = surface_of(mesh.vertices, mesh.triangles, inner_walls=self.per == "body")
         if self.from_faces == "all":
             return surface
         up = surface.normals[:, 2]

@@ -25,7 +25,7 @@ from amslicer.errors import JobError
 from amslicer.fields.picturelines import LineTexels, PictureLines, read_lines
 from amslicer.fields.pictures import read_grey
 from amslicer.fields.rectangle import Outside, Rectangle
-from amslicer.fields.source import Frame, Inputs, Number, Sampler, Source, blend
+from amslicer.fields.source import MOST_PLACE_MM, Frame, Inputs, Number, Range, Sampler, Source, blend
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -61,6 +61,8 @@ class Placed(Source):
         if box is not None and not (box[0] < box[2] and box[1] < box[3]):
             a, b = info.data.get("plane", "xy")
             raise ValueError(f"must be [{a}0, {b}0, {a}1, {b}1] with {a}0 < {a}1 and {b}0 < {b}1, but is {list(box)}")
+        if box is not None and any(abs(place) > MOST_PLACE_MM for place in box):
+            raise ValueError(f"must lie within ±{MOST_PLACE_MM:g} mm, but is {list(box)}")
         return box
 
     def rectangle(self, frame: Frame) -> Rectangle:
@@ -80,7 +82,7 @@ class Placed(Source):
 class PictureSource(Placed):
     """Pictures of numbers, or of directions."""
 
-    range: tuple[Number, Number] = Field(default=UNIT, description="values of black and white")
+    range: Range = Field(default=UNIT, description="values of black and white")
     reads: Literal["value", "gradient", "hue", "vector"] | None = Field(
         default=None,
         description="what of the picture: grey levels as numbers (value, the default); or as directions in its plane "

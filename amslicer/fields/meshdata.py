@@ -29,10 +29,11 @@ from pydantic import Field, field_validator, model_validator
 from amslicer.errors import JobError
 from amslicer.fields.constant import ConstantSampler
 from amslicer.fields.nodes import Nodes, choose_spacing, lines_on_nodes
-from amslicer.fields.orientation import TENSOR, principal_lines, tensors_of, unit_vectors
+from amslicer.fields.orientation import TENSOR, tensors_of, unit_vectors
 from amslicer.fields.results import Place, Results, read_results
 from amslicer.fields.simplices import Located, Simplices, cut, optional_library
-from amslicer.fields.source import Frame, Inputs, Number, Sampler, Source, blend
+from amslicer.fields.source import TINY_SHARE, Frame, Inputs, Number, Range, Sampler, Source, blend
+from amslicer.fields.tensors import eigenlines, matrices, von_mises
 from amslicer.mesh import UNIT_MM
 
 if TYPE_CHECKING:
@@ -52,8 +53,6 @@ OF_VECTORS, OF_TENSORS = ("x", "y", "z", "magnitude"), (*TENSOR_NAMES, "von_mise
 FINEST_GRID_MM = 0.01  # a fifth of a pixel: finer ones are mistakes
 MOST_GRID_NODES = 50_000_000  # six float32 each are 1.2 GB
 FAR = 1e30  # in widths of the data interval: still float32
-TINY_SHARE = 0.01  # of the part's size: a mesh that small is in another unit
-ISOTROPIC = 1e-9  # of a tensor's size: what rounding leaves between equal eigenvalues
 
 
 class MeshDataSource(Source):
@@ -62,10 +61,10 @@ class MeshDataSource(Source):
     mesh_data: str = Field(min_length=1, description="vtu, vtk, msh (Gmsh), xdmf (numbers inline) or avs file")
     array: str = Field(min_length=1, description="the array's name in the file")
     on: Place | None = Field(default=None, description="where the array is, if its name is at points and in cells")
-    data: tuple[Number, Number] | None = Field(
+    data: Range | None = Field(
         default=None, description="values in the file that become range[0] and range[1]; default: least and greatest"
     )
-    range: tuple[Number, Number] = Field(default=(0.0, 1.0), description="values of the field; clipped to these")
+    range: Range = Field(default=(0.0, 1.0), description="values of the field; clipped to these")
     units: Literal["mm", "cm", "m", "inch"] = Field(default="mm", description="what one unit of the mesh is")
     component: Component | None = Field(default=None, description="which number of a vector or tensor")
     principal: Annotated[int, Field(strict=True, ge=1, le=3)] | None = Field(
@@ -357,27 +356,3 @@ class MeshDataSampler:
         if self.solved.results.on == "cells":
             return values[located.cells][None], np.ones((1, len(located.cells)))
         return values[located.corners].T, located.weights.T
-
-
-def matrices(tensors: Floats) -> Floats:
-    """(N, 3, 3) of (N, 6) symmetric tensors."""
-    matrix = np.empty((len(tensors), 3, 3))
-    for k, (i, j) in enumerate(TENSOR):
-        matrix[:, i, j] = matrix[:, j, i] = tensors[:, k]
-    return matrix
-
-
-def von_mises(stress: Floats) -> Floats:
-    """(N,) von Mises stress of (N, 6) stress tensors: √(3/2) of the deviator's norm."""
-    xx, yy, zz, xy, yz, xz = np.moveaxis(stress, -1, 0)
-    shear = xy**2 + yz**2 + xz**2
-    return np.asarray(np.sqrt(((xx - yy) ** 2 + (yy - zz) ** 2 + (zz - xx) ** 2) / 2 + 3 * shear))
-
-
-def eigenlines(tensors: Floats, which: int) -> Floats:
-    """(N, 3) unit eigenvectors of (N, 6) tensors, as `principal_lines`; 0 where a tensor has no direction."""
-    mean = tensors[:, :3].mean(axis=1, keepdims=True)
-    deviator = np.abs(np.column_stack([tensors[:, :3] - mean, tensors[:, 3:]])).max(axis=1)
-    directed = deviator > ISOTROPIC * np.abs(tensors).max(axis=1)
-    lines: Floats = np.where(directed[:, None], principal_lines(tensors, which), 0.0)
-    return lines

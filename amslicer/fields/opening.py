@@ -56,7 +56,7 @@ def _placement(spec: Source, frame: Frame) -> Placement:
 
 
 def _bed(placement: Placement, frame: Frame) -> Frame:
-    return Frame(placement.origin_mm, placement.size_mm, None, frame.load_part)
+    return Frame(placement.origin_mm, placement.size_mm, None, frame.load_part, bed=True)
 
 
 def _around(placement: Placement, varies: tuple[bool, bool, bool]) -> tuple[bool, bool, bool]:

@@ -5,6 +5,8 @@
     {points: probes.csv, method: nearest}                         thin-plate | nearest | linear
     {points: probes.csv, within: [0, 1], smoothing: 0, neighbors: 24, grid_mm: 0.5}
 
+Of neighbors, at most 40 make a value: each then costs 0.7 ms.
+
 As an orientation, columns x,y,z and angle; or azimuth,elevation (degrees); or nx,ny,nz (any length and sign); a value
 is an angle. They are interpolated as lines. Without z, the field is the same at every height.
 
@@ -103,6 +105,11 @@ class PointsSource(Source):
         if self.method == "nearest" and self.grid_mm is not None:
             raise ValueError("grid_mm goes with method: thin-plate or linear; nearest has no nodes")
         return self
+
+    @property
+    def mixes_numbers(self) -> bool:
+        """Always, but the nearest point's own."""
+        return self.method != "nearest"
 
     def open(self, frame: Frame, inputs: Inputs) -> Sampler:
         """The values over a part.

@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
-import contextlib
-import io
+import importlib.util
+import json
+import os
 import re
+import subprocess
+import sys
 import tempfile
-import warnings
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
 from amslicer.errors import JobError
+from amslicer.fields import meshiochild
+from amslicer.fields.meshiochild import REPORT
 from amslicer.fields.simplices import FLAT, SOLID, optional_library
 
 if TYPE_CHECKING:
@@ -26,6 +30,9 @@ if TYPE_CHECKING:
 MOST_BYTES = 512 << 20  # read, parsed and cut, some ten times as much memory
 LARGEST = 1e100  # no result is so large, and its square is still a number
 MOST_CELLS = 20_000_000  # tetrahedra and their search tree then take about 5 GB
+MOST_MEMORY, MEMORY_PER_BYTE = 2 << 30, 24  # bytes: packed numbers become some ten times as many, held twice
+MOST_SECONDS, SECONDS_PER_MB = 15, 3  # of a processor: text is read at about 1 MB/s
+WAITING = 4  # times as long by the clock, for others use the processor, too
 # meshio's readers that take results from one file. Others hold none (inp, bdf), or are several files (exodus, ensight).
 READERS = {"vtu": "vtu", "vtk": "vtk", "msh": "gmsh", "xdmf": "xdmf", "xmf": "xdmf", "avs": "avsucd"}
 CONVERT = "save it as vtu: meshio convert IN OUT.vtu, or ParaView's File > Save Data"
@@ -66,7 +73,7 @@ def read_results(data: bytes, name: str, array: str, on: Place | None) -> Result
     Raises:
         JobError: the file cannot be read, is too large, or has no cells; the array is missing or has wrong values.
     """
-    mesh = _read(data, name)
+    mesh = _read(data, name, array)
     points = np.array(mesh.points, np.float64)
     if points.ndim != 2 or points.shape[1] not in (2, 3):
         raise JobError(f"the nodes of '{name}' have the shape {points.shape}, not (nodes, 2 or 3)", hint=CONVERT)
@@ -106,7 +113,7 @@ def read_results(data: bytes, name: str, array: str, on: Place | None) -> Result
     return Results(points, blocks, values, where, used)
 
 
-def _read(data: bytes, name: str) -> Any:
+def _read(data: bytes, name: str, array: str) -> Any:
     suffix = PurePosixPath(name).suffix.lower().lstrip(".")
     if suffix not in READERS:
         raise JobError(f"results are not read from '.{suffix}' files ('{name}')", hint=f"{CONVERT} ({_suffixes()})")
@@ -120,54 +127,67 @@ def _read(data: bytes, name: str) -> Any:
             raise JobError(f"'{name}' defines entities of its own, which are not read", hint=CONVERT)
         declared = [int(number) for number in re.findall(rb'NumberOf(?:Cells|Points)\s*=\s*"\s*(\d{1,18})', data)]
         _check_count(max(declared, default=0), name)
-    read = _xdmf_reader(name) if READERS[suffix] == "xdmf" else _meshio(READERS[suffix]).read
-    mesh = _quietly(read, data, name, suffix)
-    _check_count(max([len(mesh.points), sum(len(block.data) for block in mesh.cells)]), name)
-    return mesh
+    if importlib.util.find_spec("meshio") is None:
+        optional_library("meshio", "mesh_data")
+    return _read_apart(data, name, suffix, array)
 
 
-def _meshio(module: str) -> Any:
-    optional_library("meshio", "mesh_data")
-    return optional_library(f"meshio.{module}", "mesh_data")
+def _read_apart(data: bytes, name: str, suffix: str, array: str) -> Any:
+    """What meshio makes of a private copy of the bytes; whatever stops it is a file that cannot be used.
+
+    Returns:
+        points, cells, point_data and cell_data as meshio has them; of the arrays, only the one is there.
+    """
+    with tempfile.TemporaryDirectory(prefix="amslicer-") as made:
+        folder = Path(made)
+        path = folder / f"results.{suffix}"
+        path.write_bytes(data)
+        why = _run_reader(path, READERS[suffix], array, len(data))
+        report = {"error": why} if why else json.loads((folder / REPORT).read_text(encoding="utf-8"))
+        if "refused" in report:
+            raise JobError(f"'{name}' {report['refused']}", hint=CONVERT)
+        if "error" in report:
+            reason = report["error"].splitlines()[0]
+            raise JobError(
+                f"'{name}' cannot be read as .{suffix}: {reason}",
+                hint="write it binary, or as vtu" if suffix == "msh" and b"np.float" in data else CONVERT,
+            )
+        _check_count(max(report["points"], sum(count for _, count in report["cells"])), name)
+
+        def load(file: str) -> NDArray[Any]:
+            return np.asarray(np.load(folder / f"{file}.npy", allow_pickle=False))
+
+        return SimpleNamespace(
+            points=load("points"),
+            cells=[SimpleNamespace(type=kind, data=load(f"cells_{i}")) for i, (kind, _) in enumerate(report["cells"])],
+            point_data={key: load("at_points") if key == array else None for key in report["point_data"]},
+            cell_data={
+                key: [load(f"at_cells_{i}") for i in range(count)] if key == array else None
+                for key, count in report["cell_data"].items()
+            },
+        )
 
 
-def _quietly(read: Callable[[str], Any], data: bytes, name: str, suffix: str) -> Any:
-    """What a reader makes of a private copy of the bytes; whatever stops it is a file that cannot be used."""
-    said = io.StringIO()
+def _run_reader(path: Path, reader: str, array: str, size: int) -> str | None:
+    """Lets meshio read a file in a process of its own; returns what stopped it from outside."""
+    seconds = MOST_SECONDS + SECONDS_PER_MB * size // 1_000_000
+    command = [sys.executable, "-P", meshiochild.__file__, str(path), reader, array]
+    command += [str(MOST_MEMORY + MEMORY_PER_BYTE * size), str(seconds)]
+    # One thread: each would take address space, which is what is limited.
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path)), "OPENBLAS_NUM_THREADS": "1"}
     try:
-        with tempfile.TemporaryDirectory(prefix="amslicer-") as folder:
-            path = Path(folder) / f"results.{suffix}"
-            path.write_bytes(data)
-            with contextlib.redirect_stderr(said), contextlib.redirect_stdout(said), warnings.catch_warnings():
-                warnings.simplefilter("ignore")
-                # NumPy only warns where text ends before the numbers do.
-                warnings.filterwarnings("error", message="string or file could not be read to its end")
-                return read(str(path))
-    except JobError:
-        raise
-    except Exception as error:  # meshio's readers raise whatever their parsing meets
-        reason = str(error).strip() or type(error).__name__
-        raise JobError(f"'{name}' cannot be read as .{suffix}: {reason.splitlines()[0]}", hint=CONVERT) from error
-
-
-def _xdmf_reader(name: str) -> Callable[[str], Any]:
-    """meshio's reader of XDMF, held to the numbers within the file: it would open any file that these may name."""
-    formats = _meshio("xdmf.common").xdmf_to_numpy_type
-
-    class Inline(_meshio("xdmf.main").XdmfReader):  # type: ignore[misc]
-        def _read_data_item(self, item: Any, root: Any = None) -> Any:
-            form = item.get("Format", "XML")
-            if form != "XML" or item.get("Reference"):
-                raise JobError(
-                    f"'{name}' keeps its numbers in another place ({form}: {(item.text or '').strip()[:60]!r}), and "
-                    "only files that a job names are read",
-                    hint=CONVERT,
-                )
-            kind = formats[item.get("DataType") or item.get("NumberType") or "Float", item.get("Precision", "4")]
-            shape = [int(side) for side in item.get("Dimensions").split()]
-            return np.fromstring(item.text or "", dtype=kind, sep=" ").reshape(shape)
-
-    return lambda path: Inline(path).read()
+        done = subprocess.run(
+            command, env=environment, cwd=path.parent, timeout=WAITING * seconds, check=False,
+            stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE,
+        )  # fmt: skip
+    except subprocess.TimeoutExpired:
+        return f"no end of it within {WAITING * seconds} s"
+    except OSError as error:
+        return f"no process could be started for it ({error})"
+    if not (path.parent / REPORT).exists():
+        said = done.stderr.decode(errors="replace").strip().splitlines()
+        return f"it takes too much memory, or more than {seconds} s ({said[-1][:200] if said else done.returncode})"
+    return None
 
 
 def _kind(cell: str) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 import mmap
 import os
 import stat
@@ -13,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, BinaryIO, Literal, Protocol
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
 from amslicer.errors import JobError
 
@@ -33,6 +34,23 @@ SMALLEST_MAPPED = 64 << 20
 """Bytes; smaller files are read at once, so that nobody can change or cut them short while they are in use."""
 
 Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
+
+
+def _has_width(ends: tuple[float, float]) -> tuple[float, float]:
+    if not math.isfinite(ends[1] - ends[0]):
+        raise ValueError(f"must be two numbers whose difference is one, too, but is {list(ends)}")
+    return ends
+
+
+Range = Annotated[tuple[Number, Number], AfterValidator(_has_width)]
+"""Two values between which others lie: their difference does not overflow."""
+
+
+MOST_PLACE_MM = 1e9
+"""1000 km: no box is so far away, and differences of such numbers are still exact to a micrometre."""
+
+TINY_SHARE = 0.01
+"""Of the part's size: a mesh or a volume that small is in another unit."""
 
 
 class Sampler(Protocol):
@@ -89,6 +107,7 @@ class Frame:
         load_part: reads the part, for sources that need more than its box.
         grid: the printer's pixels and layers; None where they are not known.
         body_priorities: of the part's bodies, by name, where they overlap; those that are not 0.
+        bed: whether its coordinates are the printer's.
     """
 
     minimum_mm: Floats
@@ -97,6 +116,12 @@ class Frame:
     load_part: Callable[[], Part] | None = None
     grid: Grid | None = None
     body_priorities: Mapping[str, int] = field(default_factory=dict)
+    bed: bool = False
+
+    @property
+    def coordinates(self) -> str:
+        """What coordinates from minimum_mm on are, for messages."""
+        return "printer coordinates" if self.bed else "file coordinates"
 
     def part(self, source: str) -> Part:
         """The part itself.
@@ -108,7 +133,10 @@ class Frame:
             JobError: only the part's box is known.
         """
         if self.load_part is None:
-            raise JobError(f"a field by {source} needs the part's mesh, and only its box is known here")
+            raise JobError(
+                f"a field by {source} needs the part's mesh, and only its box is known here",
+                hint="use it in a job with a part",
+            )
         return self.load_part()
 
     def nearest(self, axis: int, position: Floats) -> Floats:
@@ -250,11 +278,38 @@ class Source(BaseModel):
         """The directions over a part with this frame; of plain numbers, angles in degrees.
 
         Raises:
-            JobError: a file cannot be used.
+            JobError: a file cannot be used, or the numbers are means of samples.
         """
         from amslicer.fields.orientation import Angles
 
+        self.check_angles("fields.orientation")
         return Angles(self.open(frame, inputs))
+
+    @property
+    def mixes_numbers(self) -> bool:
+        """Whether its numbers are means of samples, which cannot be taken apart again: no angles are made of them."""
+        return any(source.mixes_numbers for source in self.nested())
+
+    def check_angles(self, key: str) -> None:
+        """That its numbers may be angles.
+
+        Args:
+            key: of the angle in the job file, for the message.
+
+        Raises:
+            JobError: they are means of samples.
+        """
+        if self.mixes_numbers:
+            mixer: Source = self
+            while inner := next((source for source in mixer.nested() if source.mixes_numbers), None):
+                mixer = inner
+            name = next(field for field in type(mixer).model_fields if field != "frame")
+            raise JobError(
+                f"{key}: a field by {name} has means of its numbers between samples, and of the angles 1° and 179° "
+                "that would be 90°",
+                hint="give the angle as the whole orientation, {orientation: {" + name + ": …}}, which combines lines; "
+                "or directions in space, by columns nx,ny,nz for instance",
+            )
 
     @property
     def needs_part(self) -> bool:

@@ -18,8 +18,20 @@ MOST_ASKED = 20_000_000  # nodes that grid_mm may ask for: half a gigabyte of di
 
 
 def count_nodes(size_mm: Floats, spacing_mm: float, varies: tuple[bool, bool, bool]) -> float:
-    """About how many nodes a box gets; may be more than any integer type holds."""
-    return float(np.prod([1 + float(side) / spacing_mm for side, along in zip(size_mm, varies, strict=True) if along]))
+    """About how many nodes a box gets; may be more than any number type holds, infinite then."""
+    with np.errstate(over="ignore"):
+        along = [1 + np.float64(side) / spacing_mm for side, along in zip(size_mm, varies, strict=True) if along]
+        return float(np.prod(along))
+
+
+def spacing_or_default(size_mm: Floats, grid_mm: float | None, source: str, times: float = 1.0) -> float:
+    """A job file's grid_mm, or where it has none so many times as far apart as nodes are by default; raises as below.
+
+    Along all axes.
+    """
+    if grid_mm is None:
+        return times * choose_spacing(size_mm)
+    return asked_spacing(size_mm, (True, True, True), grid_mm, source)
 
 
 def spacing_for(size_mm: Floats, varies: tuple[bool, bool, bool], budget: int) -> float:

@@ -155,6 +155,11 @@ class StrokesSource(Source):
                 raise ValueError(f"have {places} places; at most {MOST_PLACES} are painted")
         return strokes
 
+    @property
+    def mixes_numbers(self) -> bool:
+        """Always: where strokes fade, and between nodes."""
+        return True
+
     def open(self, frame: Frame, inputs: Inputs) -> Sampler:
         """The painted numbers over a part.
 
@@ -252,12 +257,18 @@ class StrokesSource(Source):
         else:
             radii = np.full(count, self.radius)
         if count > MOST_PLACES:
-            raise JobError(f"the table '{name}' has {count} places; at most {MOST_PLACES} are painted", hint=None)
+            raise JobError(
+                f"the table '{name}' has {count} places; at most {MOST_PLACES} are painted",
+                hint="leave out every other one: a path is straight between its places",
+            )
         falloff = DEFAULT_FALLOFF if self.falloff is None else 1.0 if self.falloff == "smooth" else self.falloff
         numbers = table.columns["stroke"]
         starts = [0, *(np.flatnonzero(np.diff(numbers)) + 1).tolist()]
         if len(starts) > MOST_STROKES:
-            raise JobError(f"the table '{name}' has {len(starts)} strokes; at most {MOST_STROKES} are painted")
+            raise JobError(
+                f"the table '{name}' has {len(starts)} strokes; at most {MOST_STROKES} are painted",
+                hint="join those that follow each other, or paint a picture or a volume",
+            )
         if len(np.unique(numbers)) < len(starts):
             again = next(i for n, i in enumerate(starts) if numbers[i] in numbers[starts[:n]])
             raise JobError(

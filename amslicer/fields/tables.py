@@ -134,7 +134,10 @@ def _rows(lines: list[str], name: str) -> Iterator[tuple[int, list[str]]]:
         try:  # one line at a time: a quote that is not closed cannot swallow the lines below
             (cells,) = csv.reader([line], delimiter=separator, strict=True)
         except csv.Error as error:
-            raise JobError(f"the table '{name}' cannot be read in line {number}: {error}") from None
+            raise JobError(
+                f"the table '{name}' cannot be read in line {number}: {error}",
+                hint="leave out quotes: cells are names and numbers",
+            ) from None
         yield number, [cell.strip() for cell in cells]
 
 

@@ -17,15 +17,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from threading import Lock
 from typing import TYPE_CHECKING, Annotated, Literal
+from weakref import WeakValueDictionary
 
 import numpy as np
 from pydantic import Field, model_validator
 
 from amslicer.errors import JobError
-from amslicer.fields.nodes import Nodes, choose_spacing, lines_on_nodes
+from amslicer.fields.nodes import Nodes, lines_on_nodes
 from amslicer.fields.orientation import principal_lines, tensors_of, unit_vectors
 from amslicer.fields.source import Frame, Inputs, Number, Sampler, Source, blend
+from amslicer.fields.spacing import spacing_or_default
 
 if TYPE_CHECKING:
     from typing import Self
@@ -33,6 +36,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from amslicer.fields.orientation import Orientation
+    from amslicer.mesh import Mesh
     from amslicer.meshfiles.painted_mesh import Paint
     from amslicer.nearest import Surface
 
@@ -96,7 +100,7 @@ class VertexSource(Source):
         assert isinstance(self.vertex, str)
         painted = _open(frame)
         corners = blend(painted.column(self.vertex), *self.range)[painted.paint.triangles]
-        spacing = choose_spacing(frame.size_mm) if self.grid_mm is None else self.grid_mm
+        spacing = spacing_or_default(frame.size_mm, self.grid_mm, "vertex")
         return VertexSampler(painted, corners, frame.size_mm, spacing, self.depth, self.beyond)
 
     def open_orientation(self, frame: Frame, inputs: Inputs) -> Orientation:
@@ -121,7 +125,7 @@ class VertexSource(Source):
             some = (np.abs(tensors).max(axis=1) > 0)[:, None]
             return np.where(some, principal_lines(tensors), 0.0)
 
-        spacing = DIRECTION_SPACINGS * choose_spacing(frame.size_mm) if self.grid_mm is None else self.grid_mm
+        spacing = spacing_or_default(frame.size_mm, self.grid_mm, "vertex", DIRECTION_SPACINGS)
         return lines_on_nodes(lines, frame.size_mm, spacing)
 
     def _tensors(self, painted: PaintedSurface) -> Floats:
@@ -168,12 +172,14 @@ class PaintedSurface:
         file: name of the part's file.
         key: identity of its contents.
         paint: vertices in the field frame.
+        mesh: the part's; kept, so that no other has its id.
     """
 
     file: str
     key: str
     paint: Paint
     surface: Surface
+    mesh: Mesh
 
     def column(self, name: str) -> Floats:
         """(V,) values of a property.
@@ -249,16 +255,24 @@ class PaintedSurface:
         return self.paint.vertices[self.paint.triangles]
 
 
+# Of jobs that are under way: several fields are painted on the same part.
+_OPEN: WeakValueDictionary[int, PaintedSurface] = WeakValueDictionary()
+_OPENING = Lock()
+
+
 def _open(frame: Frame) -> PaintedSurface:
     from amslicer.meshfiles.painted_mesh import read_paint
-    from amslicer.nearest import Surface
+    from amslicer.nearest import surface_of
 
     part = frame.part("vertex")
-    paint = read_paint(part)
-    surface = Surface.of(paint.vertices, paint.triangles)
-    if surface.may_have_inner_walls():
-        surface = surface.without_inner_walls()
-    return PaintedSurface(part.mesh.file, part.mesh.sha256, paint, surface)
+    with _OPENING:
+        made = _OPEN.get(id(part.mesh))
+        if made is None:
+            paint = read_paint(part)
+            surface = surface_of(paint.vertices, paint.triangles)
+            made = PaintedSurface(part.mesh.file, part.mesh.sha256, paint, surface, part.mesh)
+            _OPEN[id(part.mesh)] = made
+        return made
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,7 +9,8 @@
     {volume: fibres.npy, component: magnitude}                            numbers from vectors or tensors
 
 npy, npz, nrrd, TIFF stacks and vti. Unsigned integers count from 0 to their type's largest as 0 to 1 of `range`; floats
-are taken as they are. Trilinear between voxel centres, clamped outside. Tensors are xx, yy, zz, xy, yz, xz.
+are taken as they are. Trilinear between voxel centres, clamped outside. Tensors are xx, yy, zz, xy, yz, xz;
+where one is the same all around, its direction is +x.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from amslicer.errors import JobError
 from amslicer.fields.orientation import Angles, Lines, Orientation
-from amslicer.fields.source import Frame, Inputs, Number, Sampler, Source
+from amslicer.fields.source import MOST_PLACE_MM, TINY_SHARE, Frame, Inputs, Number, Range, Sampler, Source
 from amslicer.fields.voxels import (
     TENSOR_COMPONENTS,
     VECTOR_COMPONENTS,
@@ -51,7 +52,7 @@ class VolumeSource(Source):
     """A 3-D array over the part's bounding box, over a box in mm, or where its file says."""
 
     volume: str = Field(min_length=1, description="npy, npz, nrrd, tif or vti file, relative to the job file")
-    range: tuple[Number, Number] = Field(
+    range: Range = Field(
         default=(0.0, 1.0), description="values of 0 and full scale (the largest integer, 1 of floats)"
     )
     key: str | None = Field(default=None, min_length=1, description="the array's name, in files of several")
@@ -74,6 +75,8 @@ class VolumeSource(Source):
     def _ordered(cls, box: Box | None, info: ValidationInfo) -> Box | None:
         if box is not None and not all(box[i] < box[i + 3] for i in range(3)):
             raise ValueError(f"must be [x0, y0, z0, x1, y1, z1] with x0 < x1, y0 < y1 and z0 < z1, but is {list(box)}")
+        if box is not None and any(abs(place) > MOST_PLACE_MM for place in box):
+            raise ValueError(f"must lie within ±{MOST_PLACE_MM:g} mm, but is {list(box)}")
         return box
 
     @model_validator(mode="after")
@@ -165,6 +168,13 @@ class VolumeSource(Source):
             axes.append(Axis(count, first, step, varies[i]))
             if placed == "file":
                 self._check_overlap(i, first + corner, step * (count - 1), step / 2, frame)
+        longest = max(axis.step_mm * axis.count for axis in axes)
+        if placed == "file" and longest < TINY_SHARE * float(frame.size_mm.max()):
+            raise JobError(
+                f"the volume '{self.volume}' is tiny beside the part: its longest side is {longest:.4g} mm by its "
+                f"file, the part's {float(frame.size_mm.max()):.4g} mm",
+                hint="correct the spacing and its unit in the file, or stretch it over the part with placed: box",
+            )
         return Voxels(volume.array, (axes[0], axes[1], axes[2]))
 
     def _check_overlap(self, axis: int, first: float, length: float, half: float, frame: Frame) -> None:

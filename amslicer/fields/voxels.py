@@ -15,9 +15,10 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from amslicer.errors import JobError
-from amslicer.fields.orientation import principal_lines, tensors_of, unit_vectors
+from amslicer.fields.orientation import tensors_of, unit_vectors
 from amslicer.fields.raster import Raster
 from amslicer.fields.source import blend
+from amslicer.fields.tensors import eigenlines
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -28,6 +29,8 @@ if TYPE_CHECKING:
 VECTOR_COMPONENTS, TENSOR_COMPONENTS = 3, 6
 SCAN_BYTES = 4 << 20  # looked at a time: fits a processor's cache
 KEPT_BYTES = 64 << 20  # of blended planes: those of the layers that threads work on
+MOST_IN_SINGLES = 8.0  # values up to here keep half a millionth in single precision: less than a level of 16 bits
+SINGLE_SCALES = (1e-30, 1e30)  # per sample: the samples themselves are then numbers in single precision
 
 
 @dataclass(frozen=True)
@@ -152,7 +155,7 @@ def scan(array: NDArray[Any], read: Reader, name: str) -> Scan:
             for axis, first_one in ((2, read.chosen(array[:1])), (1, chosen[:, :1]), (0, chosen[:, :, :1])):
                 varies[axis] = varies[axis] or bool((chosen != first_one).any())
     bounds = min(lows), max(highs)
-    if not np.isfinite(bounds).all():
+    if not np.isfinite([*bounds, bounds[1] - bounds[0]]).all():
         raise JobError(
             f"the volume '{name}' has values from {bounds[0]:g} to {bounds[1]:g} with range {list(read.range)}",
             hint="scale it down: no length, ratio or angle is so large",
@@ -200,7 +203,12 @@ class VolumeSampler:
         """The plane at one height, as texels of a raster."""
         columns, rows, heights = self.voxels.axes
         below, above, share = heights.neighbours(z)
-        plane = self._plane_of_singles(int(below.flat[0]), int(above.flat[0]), np.float32(share.flat[0]))
+        ends = int(below.flat[0]), int(above.flat[0])
+        if self._are_singles:
+            plane = self._plane_of_singles(*ends, np.float32(share.flat[0]))
+        else:  # a range may take large numbers away, which is left to doubles
+            plane = self._plane(*ends, float(share.flat[0])).astype(np.float32)
+            np.clip(plane, *np.array(self.bounds, np.float32), out=plane)
         c0, c1, fx = columns.neighbours(x[0])
         r0, r1, fy = rows.neighbours(y[:, 0])
         return Raster(plane, (c0, c1, fx), (r0, r1, fy))
@@ -225,11 +233,17 @@ class VolumeSampler:
         values = _lerp(_lerp(plane[r0, c0], plane[r0, c1], fx), _lerp(plane[r1, c0], plane[r1, c1], fx), fy)
         return np.broadcast_to(values, np.broadcast_shapes(values.shape, z.shape))
 
+    @property
+    def _are_singles(self) -> bool:
+        """Whether single precision is enough from the samples on."""
+        read, (start, end) = self.read, self.read.range
+        small = max(abs(start), *map(abs, self.bounds)) <= MOST_IN_SINGLES
+        scaled = SINGLE_SCALES[0] <= abs(end - start) / read.full_scale <= SINGLE_SCALES[1]
+        return small and scaled and read.component != "magnitude"
+
     def _plane_of_singles(self, below: int, above: int, share: np.float32) -> NDArray[np.floating]:
         """As _plane, in the device's own numbers: half the work of a layer."""
         read, (start, end) = self.read, self.read.range
-        if read.component == "magnitude":
-            return self._plane(below, above, float(share))
         low, high = (read.chosen(self.voxels.array[i]).astype(np.float32) for i in (below, above))
         high -= low
         high *= share
@@ -261,7 +275,7 @@ def vector_directions(voxels: Voxels, read: Reader, x: Floats, y: Floats, z: Flo
     for vectors, weight in zip(samples, voxels.weights(shares), strict=True):
         shown = np.where((vectors != 0).any(axis=-1), weight, 0.0)
         tensors += shown[:, None] * tensors_of(unit_vectors(vectors))
-    return _or_zero(tensors, principal_lines(tensors))
+    return eigenlines(tensors, 1)
 
 
 def tensor_directions(voxels: Voxels, read: Reader, x: Floats, y: Floats, z: Floats, which: int) -> Floats:
@@ -274,12 +288,7 @@ def tensor_directions(voxels: Voxels, read: Reader, x: Floats, y: Floats, z: Flo
     fx, fy, fz = (share[:, None] for share in shares)
     rows = [_lerp(low, high, fz) for low, high in ((a, e), (b, f), (c, g), (d, h))]
     tensors = _lerp(_lerp(rows[0], rows[1], fx), _lerp(rows[2], rows[3], fx), fy)
-    return _or_zero(tensors, principal_lines(tensors, which))
-
-
-def _or_zero(tensors: Floats, lines: Floats) -> Floats:
-    """No direction where there is no tensor."""
-    return np.where((tensors == 0).all(axis=-1, keepdims=True), 0.0, lines)
+    return eigenlines(tensors, which)
 
 
 def _lerp(low: Floats, high: Floats, share: Floats | np.float64) -> Floats:

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from amslicer.bodynames import unclosed_pieces
 from amslicer.errors import PartError
-from amslicer.meshfiles.soup import EXPORT, Soup, expect, joined, with_names
+from amslicer.meshfiles.soup import EXPORT, Soup, expect, joined, triangulated, with_names
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -19,7 +20,8 @@ if TYPE_CHECKING:
 _CONTINUATION = re.compile(rb"\\\r?\n")
 _VERTEX = re.compile(rb"^[ \t]*v[ \t]+(\S+[ \t]+\S+[ \t]+\S+)", re.MULTILINE)
 _FACE = re.compile(rb"^[ \t]*f[ \t]+([^\r\n#]*)", re.MULTILINE)
-_NAMES = [re.compile(rb"^[ \t]*" + kind + rb"[ \t]+([^\r\n#]*)", re.MULTILINE) for kind in (b"o", b"g")]
+_OBJECT, _GROUP = (re.compile(rb"^[ \t]*" + kind + rb"[ \t]+([^\r\n]*)", re.MULTILINE) for kind in (b"o", b"g"))
+_COMMENT = re.compile(rb"(^|[ \t])#.*")  # behind a name, which may have a # within
 _TEXTURE_AND_NORMAL = re.compile(rb"/\S*")  # of a corner 1/2/3
 
 
@@ -50,19 +52,24 @@ def read_obj(data: bytes) -> Soup:
         given = np.where(given < 0, given + above + 1, given)
     equal = (sizes == sizes[0]).all()
     faces = (given - 1).reshape(len(sizes), -1) if equal else np.split(given - 1, np.cumsum(sizes)[:-1])
-    return _named(joined([(vertices, faces)]), text, sizes)
+    triangles, face_of = triangulated(faces)
+    return _named(joined([(vertices, triangles)]), text, face_of)
 
 
-def _named(soup: Soup, text: bytes, sizes: Ints) -> Soup:
-    """The soup with the names of its objects; of its groups where there is no object.
+def _named(soup: Soup, text: bytes, face_of: Ints) -> Soup:
+    """The soup with the names of its objects; where none has a face, of its groups, if these are solids.
 
     Args:
-        sizes: (F,) corners of each face: two more than its triangles.
+        face_of: (T,) number of the face that each triangle is of.
     """
-    lines = next((found for kind in _NAMES if (found := list(kind.finditer(text)))), [])
-    if not lines:
-        return soup
     faces_at = [match.start() for match in _FACE.finditer(text)]
-    ends = np.searchsorted(faces_at, [line.start() for line in lines])  # of the faces above each name
-    triangles = np.diff(np.concatenate([[0], np.cumsum(sizes - 2)])[np.concatenate([[0], ends, [len(sizes)]])])
-    return with_names(soup, ["", *(line[1].decode(errors="replace") for line in lines)], triangles)
+    for kind in (_OBJECT, _GROUP):
+        lines = list(kind.finditer(text))
+        names = ["", *(_COMMENT.sub(b"", line[1]).decode(errors="replace") for line in lines)]
+        above = np.searchsorted([line.start() for line in lines], faces_at)
+        named = with_names(soup, names, above[face_of])
+        if named.object_of is not None:
+            # Groups are often no more than shading: parts of one solid's surface.
+            shading = kind is _GROUP and unclosed_pieces(soup.vertices, soup.triangles, named.object_of).size
+            return soup if shading else named
+    return soup

@@ -42,6 +42,9 @@ def read_painted_glb(data: bytes) -> Paint:
                 raise JobError("it holds strips or fans of triangles, whose colours are not read", hint=EXPORT)
             named = {name: _accessor(header, binary, number) for name, number in primitive["attributes"].items()}
             points = named.pop("POSITION").astype(np.float64)
+            for name, array in named.items():
+                if len(array) != len(points):
+                    raise JobError(f"{len(points)} vertices, but {len(array)} values of '{name}'", hint=EXPORT)
             if "indices" in primitive:
                 faces = _accessor(header, binary, primitive["indices"]).astype(np.int64).reshape(-1, 3)
             else:

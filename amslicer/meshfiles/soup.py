@@ -61,35 +61,58 @@ def joined(pieces: Iterable[tuple[Any, Any]], names: Sequence[str] = ()) -> Soup
     """
     vertices, triangles, start, counts = [np.zeros((0, 3))], [np.zeros((0, 3), dtype=np.int64)], 0, []
     for points, faces in pieces:
-        split = _triangulated(faces)
+        split, _ = triangulated(faces)
         _check_indices(split, len(points))
         vertices.append(np.asarray(points, dtype=np.float64))
         triangles.append(split + start)
         start += len(points)
         counts.append(len(split))
-    return with_names(Soup(np.concatenate(vertices), np.concatenate(triangles)), names, counts)
+    soup = Soup(np.concatenate(vertices), np.concatenate(triangles))
+    return with_names(soup, names, np.repeat(np.arange(len(counts)), counts)) if names else soup
 
 
-def with_names(soup: Soup, names: Sequence[str], counts: Sequence[int] | Ints) -> Soup:
-    """A soup whose triangles are those of objects, one after another: so many each.
+def with_names(soup: Soup, names: Sequence[str], object_of: Ints) -> Soup:
+    """A soup whose triangles are those of objects, where one that has triangles has a name.
 
-    Objects of the same name are one. Where some have a name, those without are called by their place in the file.
+    Objects of the same name are one. Those without a name are called by their place in the file.
+
+    Args:
+        object_of: (T,) number of each triangle's object.
     """
-    if not any(name.strip() for name in names):
+    own = [name.strip() for name in names]
+    counts = np.bincount(object_of, minlength=len(names))
+    if not any(name for name, count in zip(own, counts, strict=True) if count):
         return soup
-    full = [name.strip() or str(number) for number, name in enumerate(names, 1)]
+    full = [name or _free(str(number), own) for number, name in enumerate(own, 1)]
     kinds = list(dict.fromkeys(name for name, count in zip(full, counts, strict=True) if count))
     number_of = {name: number for number, name in enumerate(kinds)}
     objects = np.array([number_of.get(name, 0) for name in full], dtype=np.int64)
-    return replace(soup, names=tuple(kinds), object_of=np.repeat(objects, counts))
+    return replace(soup, names=tuple(kinds), object_of=objects[object_of])
 
 
-def _triangulated(faces: Any) -> Ints:
+def _free(number: str, taken: Sequence[str]) -> str:
+    """A name for an object without one, that no other has."""
+    while number in taken:
+        number += " (unnamed)"
+    return number
+
+
+def triangulated(faces: Any) -> tuple[Ints, Ints]:
+    """(T, 3) triangles of faces of any number of corners, and (T,) the face of each: they are not in its order."""
     if isinstance(faces, np.ndarray) and faces.shape[1:] == (3,):
-        return faces.astype(np.int64, copy=False)
+        return faces.astype(np.int64, copy=False), np.arange(len(faces))
     from trimesh.geometry import triangulate_quads
 
-    return np.asarray(triangulate_quads(faces), dtype=np.int64).reshape(-1, 3)
+    sizes = np.array([len(face) for face in faces], dtype=np.int64)
+    if not len(sizes):
+        return np.zeros((0, 3), np.int64), np.zeros(0, np.int64)
+    corners = np.concatenate([np.asarray(face, np.int64) for face in faces])
+    # The corners' numbers in place of the vertices: they say whose they are, and are cut in the same way.
+    ends = np.cumsum(sizes)
+    numbers = np.arange(len(corners))
+    apart = numbers.reshape(len(sizes), -1) if (sizes == sizes[0]).all() else np.split(numbers, ends[:-1])
+    split = np.asarray(triangulate_quads(apart), dtype=np.int64).reshape(-1, 3)
+    return corners[split], np.searchsorted(ends, split[:, 0], side="right")
 
 
 def _check_indices(triangles: Ints, count: int) -> None:

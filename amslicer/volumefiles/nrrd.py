@@ -50,6 +50,7 @@ SPACE = ("domain", "space")  # kinds of axes along which there are places
 # NRRD orders a symmetric matrix row by row: xx xy xz yy yz zz. Ours is xx yy zz xy yz xz.
 SYMMETRIC, FROM_ROWS = "3D-symmetric-matrix", (0, 3, 5, 1, 4, 2)
 MASKED = "3D-masked-symmetric-matrix"
+NO_UNIT = ("", "???", "none")  # what tools write of axes without one
 STRAIGHT = 1e-6  # of the spacing: less is rounding in the text of a header, and moves no sample by a pixel
 
 
@@ -208,16 +209,19 @@ def _placing(header: Mapping[str, Any], along: Sequence[int], name: str) -> tupl
     origin = None if found is None or spacing is None else np.array(found, np.float64)
     if origin is not None and (origin.shape != (3,) or not np.isfinite(origin).all()):
         raise refusal(name, f"has a space origin that is not three numbers: {found}")
-    scale = _unit_mm(header, name)
+    scale = _unit_mm(header, along, name)
     return None if spacing is None else spacing * scale, None if origin is None else origin * scale
 
 
-def _unit_mm(header: Mapping[str, Any], name: str) -> float:
-    units = {unit for unit in header.get("space units", []) if unit}
+def _unit_mm(header: Mapping[str, Any], along: Sequence[int], name: str) -> float:
+    key, units = "space units", {unit for unit in header.get("space units", []) if unit}
+    per_axis = header.get("units", [])
+    if not units and len(per_axis) > max(along):
+        key, units = "units", {per_axis[axis] for axis in along} - {None, *NO_UNIT}
     if not units:
         return 1.0
     if len(units) > 1 or next(iter(units)).lower() not in UNITS_MM:
-        raise refusal(name, f"has the space units {', '.join(sorted(units))}", "give one unit of length: mm")
+        raise refusal(name, f"has the {key} {', '.join(sorted(units))}", "give one unit of length: mm")
     return UNITS_MM[units.pop().lower()]
 
 

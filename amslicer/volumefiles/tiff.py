@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import logging
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, cast
 
@@ -65,7 +67,10 @@ def read_tiff(data: memoryview, name: str, key: str | None) -> Volume:
         ) from None
     try:
         # Not as OME: that would open other files that the description names.
-        with tifffile.TiffFile(cast("IO[bytes]", ViewStream(data)), name=name, is_ome=False) as file:
+        with (
+            _unheard("tifffile"),
+            tifffile.TiffFile(cast("IO[bytes]", ViewStream(data)), name=name, is_ome=False) as file,
+        ):
             count = len(file.pages)
             if count > MAX_PAGES:
                 raise refusal(name, f"has {count} pages; at most {MAX_PAGES} are read")
@@ -76,6 +81,20 @@ def read_tiff(data: memoryview, name: str, key: str | None) -> Volume:
     except Exception as error:  # tifffile raises many kinds for damaged files
         reason = str(error).splitlines()[0][:200] if str(error) else type(error).__name__
         raise refusal(name, f"cannot be read: {reason}", SAVE_TIFF) from error
+
+
+@contextmanager
+def _unheard(logger: str) -> Iterator[None]:
+    """Without a library's own lines beside our error."""
+
+    def nothing(record: logging.LogRecord) -> bool:
+        return False
+
+    logging.getLogger(logger).addFilter(nothing)
+    try:
+        yield
+    finally:
+        logging.getLogger(logger).removeFilter(nothing)
 
 
 def _volume(pages: Sequence[TiffPage], data: memoryview, name: str) -> Volume:
@@ -144,16 +163,19 @@ def _samples(
     pages: Sequence[TiffPage], data: memoryview, stored: tuple[int, ...], size: int, name: str
 ) -> NDArray[Any]:
     """(pages, …) of all pages."""
-    segments = [pair for page in pages for pair in zip(page.dataoffsets, page.databytecounts, strict=True)]
-    check_data(max((offset + count for offset, count in segments), default=0), len(data), name)
+    ends = [a + n for page in pages for a, n in zip(page.dataoffsets, page.databytecounts, strict=True)]
+    check_data(max(ends, default=0), len(data), name)
     first = pages[0]
-    dtype = np.dtype(f"{first.parent.byteorder}{first.dtype.char}") if first.dtype is not None else None
-    plain = all(page.compression == PLAIN and page.predictor == 1 and not page.is_tiled for page in pages)
-    if plain:
-        check_data(size, sum(count for _, count in segments), name)
-        follow = all(a + n == b for (a, n), (b, _) in pairwise(segments))
-        if follow:
-            return np.frombuffer(data, dtype, size // np.dtype(dtype).itemsize, segments[0][0]).reshape(stored)
+    segments = [segment for page in pages for segment in _segments(page, name)]
+    if all(page.compression == PLAIN and page.predictor == 1 and not page.is_tiled for page in pages):
+        assert first.dtype is not None
+        dtype = np.dtype(f"{first.parent.byteorder}{first.dtype.char}")
+        for _, length, needed in segments:  # some writers pad their strips
+            check_data(needed, length, name)
+        check_data(size, sum(needed for _, _, needed in segments), name, exact=True)
+        if all(a + needed == b for (a, _, needed), (b, _, _) in pairwise(segments)):
+            return np.frombuffer(data, dtype, size // dtype.itemsize, segments[0][0]).reshape(stored)
+        return np.frombuffer(b"".join(data[a : a + needed] for a, _, needed in segments), dtype).reshape(stored)
     array = np.empty(stored, first.dtype)
     for page, target in zip(pages, array, strict=True):
         _check_segments(page, data, name)
@@ -167,20 +189,26 @@ def _samples(
     return array
 
 
-def _check_segments(page: TiffPage, data: memoryview, name: str) -> None:
-    """Whether each strip or tile unpacks to what it should: tifffile shows those that are missing as 0."""
-    expected = math.prod(page.chunks) * page.dtype.itemsize  # type: ignore[union-attr]
+def _segments(page: TiffPage, name: str) -> list[tuple[int, int, int]]:
+    """Offset, length and unpacked size of each strip or tile: tifffile shows those that are missing as 0."""
+    assert page.dtype is not None
     count = math.prod(page.chunked)
     if len(page.dataoffsets) != count or not all(page.databytecounts):
         raise refusal(
             name, f"has {len(page.dataoffsets)} strips in a page of {count}, or empty ones", "copy it once more"
         )
-    for number, (offset, length) in enumerate(zip(page.dataoffsets, page.databytecounts, strict=True)):
-        size = expected
-        if not page.is_tiled:  # the last strip is as high as is left
-            strip = page.chunks[page.axes.index("Y")]
-            done = number % -(-page.imagelength // strip) * strip
-            size = expected // strip * min(strip, page.imagelength - done)
+    strip = page.chunks[0]  # rows, also where samples are in planes of their own
+    row = math.prod(page.chunks[1:]) * page.dtype.itemsize
+    sizes = [strip * row] * count
+    if not page.is_tiled:  # the last strip is as high as is left
+        heights = [min(strip, page.imagelength - done) for done in range(0, page.imagelength, strip)]
+        sizes = [height * row for height in heights] * (count // len(heights))
+    return list(zip(page.dataoffsets, page.databytecounts, sizes, strict=True))
+
+
+def _check_segments(page: TiffPage, data: memoryview, name: str) -> None:
+    """Whether each strip or tile unpacks to what it should."""
+    for offset, length, size in _segments(page, name):
         if page.compression in DEFLATE:
             check_inflated(data[offset : offset + length], size, name)
         elif page.compression == PLAIN:

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from amslicer.noise import NOISES
+from tests.bench.measure import PAINTED
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 PARTS = {
@@ -91,6 +92,7 @@ def main() -> None:
     pairs = [[measure("whole", "insole", "all", 0, "all", json.dumps({"pattern.alignment": n})) for n in (0, SWEEPS)]
              for _ in range(PAIRS)]  # fmt: skip
     found["aligned"] = sorted(pairs, key=lambda pair: pair[1]["seconds"] / pair[0]["seconds"])[PAIRS // 2]
+    found["painted"] = {name: measure("painted", name) for name in PAINTED}
     found["encode"] = measure("encode")
     found["start"] = measure("start")
     rows = list(table(found))
@@ -167,6 +169,12 @@ def table(found: dict[str, Any]) -> Iterator[tuple[str, str]]:
         f"{aligned:.2f} s, {aligned - plain:.2f} s or {100 * (aligned / plain - 1):.0f} % more; "
         f"{found['aligned'][1]['peak_mb']:.0f} MB",
     )
+    constant = found["painted"]["constants"]["seconds"]
+    for name, made in found["painted"].items():
+        yield (
+            f"insole, painted by: {name}",
+            f"{made['seconds']:.1f} s, {made['seconds'] / constant:.2f} × constants; {made['peak_mb']:.0f} MB",
+        )
     png = found["encode"]
     height, width = png["shape"]
     yield (

@@ -91,6 +91,55 @@ def whole(part: str, jobs: str, first: str, end: str, changes: str = "{}", floor
     }  # fmt: skip
 
 
+# What is painted on the insole: a constant, and what costs more.
+PAINTED: dict[str, dict[str, Any]] = {
+    "constants": {},
+    "gradient along z": {"ratio": {"gradient": {"axis": "z", "from": 0.2, "to": 0.4}}},
+    "volume of 512³ at 16 bits": {"ratio": {"volume": "volume.npy", "range": [0.2, 0.4]}},
+    "and a picture of 30 Mpx at 16 bits": {
+        "ratio": {"volume": "volume.npy", "range": [0.2, 0.4]}, "orientation": {"image": "angle.png", "range": [28, 32]},
+    },
+    "formula of x, y, z": {"ratio": {"expression": "0.3 + 0.1*sin(x/5)*cos(y/7 + z)"}},
+    "depth below the skin": {"ratio": {"distance": {"from": 0.2, "to": 0.4, "depth": 4}}},
+    "skin of 0.4 mm": {"skin": {"material": "rigid", "thickness_mm": 0.4}},
+}  # fmt: skip
+
+
+def painted_files() -> dict[str, Any]:
+    """Makes the files that PAINTED names, in a process of its own: it would count as that of its children."""
+    folder = Path(tempfile.gettempdir()) / "amslicer-bench"
+    folder.mkdir(exist_ok=True)
+    if not (folder / "angle.png").exists():
+        z, y, x = np.meshgrid(*[np.arange(512) / 512] * 3, indexing="ij", sparse=True)
+        wave = 0.5 + 0.3 * np.sin(7 * x) * np.cos(5 * y) + 0.2 * np.sin(9 * z + 3 * x)
+        np.save(folder / "volume.npy", np.rint(65535 * wave).astype(np.uint16))
+        row, column = np.meshgrid(np.arange(5000) / 700, np.arange(6000) / 900, indexing="ij", sparse=True)
+        angle = np.rint(32768 + 16000 * np.sin(column) + 8000 * np.cos(row)).astype(np.uint16)
+        Image.fromarray(angle).save(folder / "angle.png")
+    return {"folder": str(folder)}
+
+
+def painted(name: str) -> dict[str, Any]:
+    """A job of the insole with one of PAINTED: the whole process, a second time."""
+    words = [sys.executable, "-m", "tests.bench.measure", "painted_files"]
+    folder = Path(json.loads(subprocess.run(words, check=True, capture_output=True, text=True).stdout)["folder"])
+    keys = {"ratio": 0.3, "orientation": 30, **PAINTED[name]}
+    sections = {key: keys.pop(key) for key in ("skin",) if key in keys}
+    fields = folder / "painted.yaml"
+    fields.write_text(json.dumps({**FIELDS, "fields": keys, **sections}), encoding="utf-8")
+    words = [sys.executable, "-m", "amslicer", str(files_of("insole")[0]), "--fields", str(fields)]
+    script = f"import resource, subprocess; subprocess.run({words!r} + ['-o', OUT], check=True, capture_output=True); "
+    script += "print(resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024)"
+    for _ in range(2):
+        with tempfile.TemporaryDirectory() as out:
+            started = time.perf_counter()
+            done = subprocess.run(
+                [sys.executable, "-c", script.replace("OUT", repr(f"{out}/out"))], check=True, capture_output=True, text=True
+            )  # fmt: skip
+            seconds = time.perf_counter() - started
+    return {"seconds": seconds, "peak_mb": float(done.stdout)}
+
+
 def encode_floor(out: Path) -> float:
     """Seconds to deflate and write the bitmaps of a stack that are already in memory, on all cores."""
     from PIL import Image
@@ -329,7 +378,8 @@ def repeat(work: Callable[[], Any], times: int = 5) -> float:
 
 MEASUREMENTS: dict[str, Callable[..., dict[str, Any]]] = {
     "whole": whole, "stages": stages, "forms": forms, "noise": noise, "encode": encode, "prusa": prusa,
-    "stltovoxel": stltovoxel, "start": start,
+    "stltovoxel": stltovoxel, "start": start, "painted": painted,
+    "painted_files": painted_files,
 }  # fmt: skip
 
 if __name__ == "__main__":
