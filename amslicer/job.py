@@ -56,12 +56,15 @@ class Job:
     @property
     def part_copy(self) -> str | None:
         """Where the stack keeps the part's file, of jobs that cannot be verified without it."""
+        from amslicer.stackfolder import input_names
         from amslicer.storage import INPUTS
 
         if not self.needs_part:
             return None
-        names = {Path(path).name for path in self.input_paths()}
-        return f"{INPUTS}/{'part-' if self.part.name in names else ''}{self.part.name}"
+        taken, name = set(input_names(self).values()), self.part.name
+        while f"{INPUTS}/{name}" in taken:
+            name = f"part-{name}"
+        return f"{INPUTS}/{name}"
 
     def sources(self) -> Iterator[Source]:
         """Every field of the job that is not a plain number."""

@@ -28,14 +28,14 @@ if TYPE_CHECKING:
 # The square of the thickness as a whole number of which two fit into 8 or 16 bits; of thin skins, up to so many pixels,
 # rounding the squares to 8 bits moves the skin by less than a quarter of one.
 COARSE, FINE, THIN_PX = 120, 30_000, 40
-SPARE = 64  # layers kept beyond those that one needs: blocks ask for their layers one after another
+SPARE = 40  # layers kept beyond those that one needs: blocks ask for their layers one after another
 
 
 @dataclass(frozen=True)
 class _Ring:
     """Of one layer, the pixels that are skin by their own layer alone, with squared distances; and what is solid."""
 
-    place: NDArray[np.int64]
+    place: NDArray[np.uint32]
     squared: NDArray[np.uint8] | NDArray[np.uint16]
     solid: NDArray[np.uint8]  # bits
 
@@ -120,7 +120,7 @@ class Skin:
                 np.add(padded[shift : shift + len(along)], kind(squared), out=further)
                 np.minimum(nearest, further, out=nearest)
         place = np.flatnonzero(solid.ravel() & (nearest.ravel() < self._one))
-        return _Ring(place, nearest.ravel()[place], np.packbits(solid))
+        return _Ring(place.astype(np.uint32), nearest.ravel()[place], np.packbits(solid))
 
     @cached_property
     def _one(self) -> int:

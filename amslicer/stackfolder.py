@@ -8,7 +8,7 @@ import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from amslicer.errors import JobError, UsageError
 from amslicer.specification import MATERIAL_NAME
@@ -18,6 +18,7 @@ from amslicer.writers.png import layer_path
 if TYPE_CHECKING:
     from amslicer.job import Job
 
+Contents: TypeAlias = dict[str, tuple[str, memoryview]]  # by where it goes: a field file's name in the job, its bytes
 JOB_HEADER = "# written by amslicer: the whole job; slice it again with `amslicer PART --fields` and this file\n"
 LARGE_BYTES = 8 << 20  # of a field file: its copy takes longer than the first layers
 PART_LINE = re.compile(r"^# the part: (.+)$", re.MULTILINE)  # where a copy of the part's file is kept
@@ -25,11 +26,11 @@ LAYER_FILE = re.compile(r"\d{5,}\.png(" + re.escape(TEMPORARY) + ")?")
 
 
 @contextmanager
-def opened_folder(out: Path, job: Job, *, overwrite: bool) -> Iterator[dict[str, str]]:
+def opened_folder(out: Path, job: Job, *, overwrite: bool) -> Iterator[Contents]:
     """Holds the stack's folder, ready to be written to: material folders, job.yaml and inputs/ are there.
 
     Yields:
-        Field files that are too large to wait for, and where copy_inputs must put them.
+        Field files that are too large to wait for: copy_inputs must put them there.
 
     Raises:
         UsageError: it holds something, and `overwrite` is off or would replace what amslicer did not write; or
@@ -41,24 +42,28 @@ def opened_folder(out: Path, job: Job, *, overwrite: bool) -> Iterator[dict[str,
     with storage_errors("make", out):
         out.mkdir(parents=True, exist_ok=True)
     with locked(out):
-        renamed = _input_names(job)
-        with storage_errors("write to", out):
-            _make_room(out, job, renamed, overwrite=overwrite)
-        large = {name: new for name, new in renamed.items() if job.inputs.map(name).nbytes >= LARGE_BYTES}
-        copy_inputs(out, job, {name: new for name, new in renamed.items() if name not in large})
+        renamed = input_names(job)
+        # Before room is made: they may be the copies in this very folder.
+        contents = {new: (name, job.inputs.map(name)) for name, new in renamed.items()}
+        copied = None
         if job.part_copy:
             with storage_errors("read", job.part):
-                content = job.part.read_bytes()
-            write_atomically(out / job.part_copy, content)
+                copied = job.part.read_bytes()
+        with storage_errors("write to", out):
+            _make_room(out, job, renamed, overwrite=overwrite)
+        large = {new: content for new, content in contents.items() if content[1].nbytes >= LARGE_BYTES}
+        copy_inputs(out, job, {new: content for new, content in contents.items() if new not in large})
+        if job.part_copy and copied is not None:
+            write_atomically(out / job.part_copy, copied)
         write_atomically(out / JOB_FILE, _job_yaml(job, renamed))
         yield large
 
 
-def copy_inputs(out: Path, job: Job, renamed: dict[str, str]) -> None:
+def copy_inputs(out: Path, job: Job, contents: Contents) -> None:
     """Writes field files into the stack, and works out their digests."""
-    for name, new in renamed.items():
-        write_atomically(out / new, job.inputs.map(name))
-        job.inputs.digest(name)
+    for new, (name, content) in contents.items():
+        write_atomically(out / new, content)
+        job.inputs.digest(name, content)
 
 
 def _make_room(out: Path, job: Job, renamed: dict[str, str], *, overwrite: bool) -> None:
@@ -81,7 +86,7 @@ def _make_room(out: Path, job: Job, renamed: dict[str, str], *, overwrite: bool)
         folder.mkdir(parents=True, exist_ok=True)
 
 
-def _input_names(job: Job) -> dict[str, str]:
+def input_names(job: Job) -> dict[str, str]:
     """Where each field file goes: inputs/NAME, numbered where names repeat."""
     renamed: dict[str, str] = {}
     for path in job.input_paths():

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from amslicer.errors import JobError, StorageError
+from amslicer.specification import VOID
 from amslicer.stack import open_stack
 from amslicer.storage import JOB_FILE, MANIFEST, storage_errors
 
@@ -104,7 +105,7 @@ def _describe(stack: Stack, job: dict[str, Any], problem: str | None) -> StackIn
         layer_ranges=tuple(ranges([record.index for record in stack.records])),
         complete=manifest["complete"],
         solid_pixels=manifest["solid_pixels"],
-        materials=tuple(_material(m, densities.get(m["name"])) for m in manifest["materials"]),
+        materials=tuple(_material(m, densities.get(m["name"])) for m in (*manifest["materials"], *_void(manifest))),
         printer=job.get("printer", {}),
         pattern=job.get("pattern", {}),
         problem=problem,
@@ -113,6 +114,11 @@ def _describe(stack: Stack, job: dict[str, Any], problem: str | None) -> StackIn
         digest=manifest["job_digest"],
         bytes=_bytes_in(stack.folder),
     )
+
+
+def _void(manifest: dict[str, Any]) -> list[dict[str, Any]]:
+    """What is left empty, like a material without a colour."""
+    return [{"name": VOID, "color": "-", **manifest[VOID]}] if VOID in manifest else []
 
 
 def _material(entry: dict[str, Any], density_g_cm3: float | None) -> MaterialInfo:

@@ -304,10 +304,9 @@ def _job_of(stack: Stack, fields: str | os.PathLike[str] | None) -> Job:
         raise StorageError(f"'{own}' is missing", hint="name the fields to compare with: --fields FIELDS.yaml")
     part = stack.manifest["part"]
     job = load_job(own if fields is None else fields, part=stack.folder / part.get("copy", part["file"]))
-    if job.printed != stack.materials:
-        raise JobError(
-            f"{job.name}: the materials are {', '.join(job.printed)}, but the stack has {', '.join(stack.materials)}"
-        )
+    if job.printed != stack.materials or (job.printed != job.materials) != (VOID in stack.manifest):
+        has = ", ".join((*stack.materials, *([VOID] if VOID in stack.manifest else [])))
+        raise JobError(f"{job.name}: the materials are {', '.join(job.materials)}, but the stack has {has}")
     return job
 
 

@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+import base64
 import re
+import resource
+import struct
 import sys
+import time
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -38,11 +43,13 @@ PLACES = np.random.default_rng(1).uniform(0, 1, (500, 3)) * SIZE
 FLOAT32 = 1e-6  # of values about 1: the grid keeps its nodes in single precision
 
 
+APART = results._run_reader
+
+
 @pytest.fixture(autouse=True)
-def _in_this_process(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+def _in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
     """meshio takes half a second to start: only the tests of that have it in a process of its own."""
-    if "apart" not in request.keywords:
-        monkeypatch.setattr(results, "_run_reader", lambda path, reader, array, size: read_beside(path, reader, array))
+    monkeypatch.setattr(results, "_run_reader", lambda path, reader, array, size: read_beside(path, reader, array))
 
 
 # Meshes of a box, cut independently of the package
@@ -917,3 +924,91 @@ def test_paths() -> None:
     spec = source(array="a")
     assert spec.paths() == (NAME,)
     assert spec.with_paths({NAME: "other.vtu"}).mesh_data == "other.vtu"
+
+
+# Files that ask for too much: meshio reads in a process of its own
+
+
+def packed_vtu(megabytes: int) -> bytes:
+    """One tetrahedron, and an array whose only block says 16 MB and inflates to so many."""
+    packer = zlib.compressobj(9)
+    block = b"".join([*(packer.compress(bytes(1 << 20)) for _ in range(megabytes)), packer.flush()])
+    text = base64.b64encode(struct.pack("<IIII", 1, 1 << 24, 0, len(block))) + base64.b64encode(block)
+
+    def array(name: str, kind: str, numbers: str, components: int = 1) -> str:
+        return f'<DataArray type="{kind}" Name="{name}" NumberOfComponents="{components}">{numbers}</DataArray>'
+
+    return (
+        '<VTKFile type="UnstructuredGrid" version="0.1" byte_order="LittleEndian" compressor="vtkZLibDataCompressor">'
+        '<UnstructuredGrid><Piece NumberOfPoints="4" NumberOfCells="1"><Points>'
+        f"{array('p', 'Float64', '0 0 0 1 0 0 0 1 0 0 0 1', 3)}</Points><Cells>"
+        f"{array('connectivity', 'Int64', '0 1 2 3')}{array('offsets', 'Int64', '4')}{array('types', 'Int64', '10')}"
+        '</Cells><PointData><DataArray type="Float64" Name="a" format="binary">'
+    ).encode() + text + b"</DataArray></PointData></Piece></UnstructuredGrid></VTKFile>"  # fmt: skip
+
+
+POINTS_OF_A_GRID = (
+    b"# vtk DataFile Version 3.0\nx\nASCII\nDATASET STRUCTURED_POINTS\nDIMENSIONS 500 500 500\nORIGIN 0 0 0\n"
+    b"SPACING 1 1 1\nPOINT_DATA 1\nSCALARS a double 1\nLOOKUP_TABLE default\n1\n"
+)
+COORDINATES = (
+    b"# vtk DataFile Version 3.0\nx\nASCII\nDATASET RECTILINEAR_GRID\nDIMENSIONS 9000 9000 9000\n"
+    b"X_COORDINATES 2 double\n0 1\nY_COORDINATES 2 double\n0 1\nZ_COORDINATES 2 double\n0 1\n"
+)
+TAGS = b"$MeshFormat\n2.2 0 8\n$EndMeshFormat\n$NodeData\n99999999999\n"
+SPARSE = b"$MeshFormat\n4.1 0 8\n$EndMeshFormat\n$Nodes\n1 90000000 1 90000000\n2 1 0 90000000\n1\n0 0 0\n$EndNodes\n"
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="other systems keep to no limit of memory")
+@pytest.mark.parametrize(
+    ("name", "content"),
+    [
+        ("a.vtu", packed_vtu(600)),
+        ("a.vtk", POINTS_OF_A_GRID),
+        ("a.vtk", COORDINATES),
+        ("a.msh", TAGS),
+        ("a.msh", SPARSE),
+    ],
+    ids=["vtu", "points", "coordinates", "tags", "sparse"],
+)
+def test_files_that_ask_for_too_much(name: str, content: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(results, "_run_reader", APART)
+    monkeypatch.setattr(results, "MOST_MEMORY", 1 << 30)
+    monkeypatch.setattr(results, "MOST_SECONDS", 2)
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    started = time.monotonic()
+    with pytest.raises(JobError, match=r"takes? too much memory"):
+        opened(content, name=name, array="a")
+    assert time.monotonic() - started < 8 * 2
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 100_000  # kB
+
+
+@pytest.mark.parametrize("format_", ["vtu", "xdmf"])
+def test_in_a_process_of_its_own_the_same_is_read(
+    format_: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    name, content = written(format_, tmp_path)
+    here = opened(content, name=name, array="a", **IDENTITY)
+    monkeypatch.setattr(results, "_run_reader", APART)
+    apart = opened(content, name=name, array="a", **IDENTITY)
+    np.testing.assert_array_equal(at(apart), at(here))
+    with pytest.raises(JobError, match="has no array 'b'") as refused:
+        opened(content, name=name, array="b")
+    assert "at points: a" in str(refused.value.hint)
+
+
+def test_a_process_that_does_not_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(results, "_run_reader", APART)
+    monkeypatch.setattr(results, "WAITING", 0.001)
+    with pytest.raises(JobError, match="no end of it within"):
+        opened(box_file(tmp_path), array="a")
+
+
+def test_gmsh_text_that_numpy_spoilt(tmp_path: Path) -> None:
+    points, cells = tetra_mesh(20)
+    file = tmp_path / "a.msh"
+    meshio.gmsh.write(file, meshio.Mesh(points, cells, point_data={"a": linear(points)}), "4.1", binary=False)
+    content = file.read_bytes().replace(b"$Nodes\n", b"$Nodes\nnp.float64(0.5)")
+    with pytest.raises(JobError, match=r"cannot be read as \.msh") as refused:
+        opened(content, name="a.msh", array="a")
+    assert refused.value.hint == "write it binary, or as vtu"

@@ -277,6 +277,7 @@ def test_tables_that_are_refused(content: str, direction: bool, said: str) -> No
         ({"method": "cubic"}, "thin-plate"),
         ({"smoothing": -1}, "greater"),
         ({"neighbors": 2}, "greater"),
+        ({"neighbors": 41}, "less than or equal to 40"),
         ({"neighbors": 20, "method": "linear"}, "neighbors goes with"),
         ({"grid_mm": 1.0, "method": "nearest"}, "grid_mm goes with"),
         ({"grid_mm": 0}, "greater"),
@@ -288,11 +289,29 @@ def test_settings_that_are_refused(keys: dict[str, Any], said: str) -> None:
         TypeAdapter(FieldSpec).validate_python({"points": [[1, 2, 3]], **keys})
 
 
+@pytest.mark.parametrize("grid_mm", [1e-300, 5e-324])
+def test_nodes_beyond_all_numbers_are_refused(grid_mm: float) -> None:
+    with pytest.raises(JobError, match="nodes over the part; at most 20000000"):
+        opened([[1, 2, 3, 4], [2, 2, 3, 5], [1, 3, 3, 6], [1, 2, 9, 7]], grid_mm=grid_mm)
+
+
 def test_other_refusals() -> None:
     with pytest.raises(JobError, match="at most 20000000"):
         opened([[1, 2, 3, 4], [2, 2, 3, 5], [1, 3, 3, 6], [1, 2, 9, 7]], grid_mm=1e-3)
     with pytest.raises(JobError, match=r"within: .* that is a direction"):
         opened([[1, 2, 3], [2, 2, 4]], direction=True, within=[0, 1])
+
+
+def test_more_neighbours_make_fewer_nodes() -> None:
+    """A value among 40 takes twice as long as among 24."""
+    random = np.random.default_rng(0).uniform(0, 10, (30_000, 4)).round(3).tolist()
+
+    def nodes(neighbors: int | None) -> float:
+        field: Any = opened(random, **({} if neighbors is None else {"neighbors": neighbors}))
+        return float(np.prod(field.nodes.shape))
+
+    assert nodes(40) < 0.5 * nodes(24)
+    assert nodes(24) == nodes(None) == nodes(8)
 
 
 def test_its_file_is_named_and_can_be_renamed() -> None:

@@ -337,3 +337,27 @@ def test_its_file_is_named_and_can_be_renamed() -> None:
     source: Any = TypeAdapter(FieldSpec).validate_python({"strokes": "a/s.csv", "base": 0})
     assert source.paths() == ("a/s.csv",)
     assert source.with_paths({"a/s.csv": "1.csv"}).strokes == "1.csv"
+
+
+def scribble(count: int, flat: bool, radius: float) -> dict[str, Any]:
+    random = np.random.default_rng(0)
+    path = np.cumsum(random.normal(0, 3, (count, 3)), axis=0) % (100, 80, 50)
+    return {"path": path[:, : 2 if flat else 3].round(3).tolist(), "radius": radius, "value": 0.3}
+
+
+LARGE = Frame(np.zeros(3), np.array([100.0, 80.0, 50.0]))
+
+
+def test_long_work_is_done_on_coarser_nodes_or_refused() -> None:
+    def nodes(*strokes: dict[str, Any], **keys: Any) -> Any:
+        spec: Any = TypeAdapter(FieldSpec).validate_python({"strokes": list(strokes), "base": 0.5, **keys})
+        return spec.open(LARGE, Inputs(Path("nowhere"))).nodes
+
+    short, long = nodes(scribble(20, False, 2)), nodes(scribble(9000, False, 9))
+    assert 1.2 * short.spacing_mm < long.spacing_mm <= 9 / 2
+    with pytest.raises(JobError, match=r"segments take about \d+ s to paint on nodes 0.3 mm apart") as caught:
+        nodes(scribble(9000, False, 9), grid_mm=0.3)
+    assert "larger grid_mm than 0.3" in str(caught.value.hint)
+    with pytest.raises(JobError, match="segments take about") as caught:
+        nodes(scribble(60_000, False, 30))
+    assert "fewer places" in str(caught.value.hint)

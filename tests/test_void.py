@@ -13,6 +13,7 @@ from PIL import Image
 
 import amslicer
 from amslicer.errors import JobError, StorageError
+from amslicer.stackinfo import describe_folder
 
 PRINTER = {"pitch_um": 80, "layer_um": 80}
 POROUS = {"a": 0.3, "void": {"gradient": {"axis": "x", "from": 0.1, "to": 0.4}}, "b": "rest"}
@@ -71,6 +72,36 @@ def test_overwrite_takes_its_copy_of_the_part_along(tmp_path: Path, job: amslice
     assert (out / "inputs" / "part.stl").read_bytes() == job.part.read_bytes()
     amslicer.slice_job(parts.job(job.part, printer=PRINTER), out, run=amslicer.Run(layers=(0, 2)), overwrite=True)
     assert not (out / "inputs").exists()
+
+
+def test_a_stack_is_sliced_again_into_its_own_folder(tmp_path: Path, job: amslicer.Job) -> None:
+    """From its own copies of job, field files and part, which --overwrite is about to remove."""
+    out = tmp_path / "out"
+    np.save(tmp_path / "v.npy", np.full((2, 2, 2), 0.3))
+    ratio = {"a": {"volume": "v.npy"}, "void": 0.2, "b": "rest"}
+    first = parts.job(job.part, printer=PRINTER, materials=("a", "void", "b"), ratio=ratio)
+    amslicer.slice_job(first, out, run=amslicer.Run(layers=(30, 32)))
+    before = [layer.labels for layer in amslicer.open_stack(out)]
+    again = amslicer.load_job(out / "job.yaml", part=out / "inputs" / "part.stl")
+    amslicer.slice_job(again, out, run=amslicer.Run(layers=(30, 32)), overwrite=True)
+    assert (out / "inputs" / "part.stl").read_bytes() == job.part.read_bytes()
+    assert (out / "inputs" / "v.npy").read_bytes() == (tmp_path / "v.npy").read_bytes()
+    for layer, labels in zip(amslicer.open_stack(out), before, strict=True):
+        assert np.array_equal(layer.labels, labels)
+
+
+def test_it_is_in_the_table_of_info(tmp_path: Path, job: amslicer.Job) -> None:
+    amslicer.slice_job(job, tmp_path / "out", run=amslicer.Run(layers=(40, 42)))
+    shares = {m.name: m.ratio for m in describe_folder(tmp_path / "out").materials}
+    assert list(shares) == ["a", "b", "void"]
+    assert sum(shares.values()) == pytest.approx(1)
+
+
+def test_other_fields_must_know_of_it(tmp_path: Path, job: amslicer.Job) -> None:
+    amslicer.slice_job(job, tmp_path / "out", run=amslicer.Run(layers=(40, 42)))
+    parts.job(job.part, printer=PRINTER, materials=("a", "b"))  # writes part.yaml
+    with pytest.raises(JobError, match="the materials are a, b, but the stack has a, b, void"):
+        amslicer.verify(tmp_path / "out", fields=tmp_path / "part.yaml")
 
 
 def test_one_field_is_the_share_of_the_first_of_two_printed_materials(tmp_path: Path) -> None:

@@ -316,6 +316,75 @@ def test_a_strip_does_not_blend_its_plane_again(monkeypatch: pytest.MonkeyPatch)
     assert asked == [56, 56]
 
 
+LARGE = {
+    "an offset": (lambda a: a + 1e6, [-1e6, -1e6 + 1]),
+    "beyond single precision": (lambda a: a * 1e40, [0, 1e-40]),
+    "tiny": (lambda a: a * 1e-40, [0, 1e40]),
+    "64 bits": (lambda a: np.rint(a * 2**40).astype("u8"), [0, (2**64 - 1) / 2**40]),
+}
+
+
+@pytest.mark.parametrize("change", LARGE)
+def test_large_numbers_that_a_range_takes_away(change: str) -> None:
+    """A device's texels are those of the same field written without them, within single precision."""
+    a = np.random.default_rng(4).random((4, 5, 6))
+    made, ends = LARGE[change]
+    x, y = np.linspace(0, 6, 31)[None, :], np.linspace(0, 4, 21)[:, None]
+    plain, changed = numbers(a), numbers(made(a), range=ends)
+    for z in (0.1, 2.2, 4.9):
+        expected, found = (field.raster(x, y, np.asarray(z)) for field in (plain, changed))  # type: ignore[attr-defined]
+        assert expected.texels.dtype == found.texels.dtype == np.float32
+        np.testing.assert_allclose(found.texels, expected.texels, atol=1e-6)
+        low, high = changed.bounds
+        assert np.float32(low) <= found.texels.min() <= found.texels.max() <= np.float32(high)
+        (c0, c1, fx), (r0, r1, fy) = found.columns, found.rows
+        t = found.texels.astype(float)
+        across = t[:, c0] + fx * (t[:, c1] - t[:, c0])
+        spread = across[r0] + fy[:, None] * (across[r1] - across[r0])
+        np.testing.assert_allclose(spread, changed.scalar(x, y, np.asarray(z)), atol=1e-6)
+
+
+ENDLESS = [-1e308, 1e308]
+
+
+@pytest.mark.parametrize(
+    "field",
+    [
+        {"volume": "a.npy"},
+        {"image": "a.png"},
+        {"stack": {"0": "a.png"}},
+        {"mesh_data": "a.vtu", "array": "a"},
+        {"volume": "a.npy", "component": 0},
+    ],
+)
+def test_ranges_whose_width_overflows(field: dict[str, Any]) -> None:
+    adapter: Any = TypeAdapter(FieldSpec)
+    with pytest.raises(ValidationError, match="whose difference is one"):
+        adapter.validate_python({**field, "range": ENDLESS})
+    adapter.validate_python({**field, "range": [-8e307, 8e307]})
+
+
+def test_samples_whose_difference_overflows() -> None:
+    a = np.zeros((2, 2, 2))
+    a[0, 0, 0], a[1, 1, 1] = ENDLESS
+    with pytest.raises(JobError, match=r"values from -1e\+308 to 1e\+308"):
+        numbers(a)
+
+
+@pytest.mark.parametrize(
+    "field",
+    [
+        {"volume": "a.npy", "box": [-1e308, 0, 0, 1e308, 1, 1]},
+        {"image": "a.png", "box": [-1e308, 0, 1e308, 1]},
+        {"stack": {"0": "a.png"}, "box": [0, 0, 1, 1e10]},
+    ],
+)
+def test_boxes_that_are_nowhere(field: dict[str, Any]) -> None:
+    adapter: Any = TypeAdapter(FieldSpec)
+    with pytest.raises(ValidationError, match="within ±1e\\+09 mm"):
+        adapter.validate_python(field)
+
+
 # Directions
 
 
@@ -599,3 +668,27 @@ def test_painted_directions_of_vectors_in_a_bed_frame(tmp_path: Path) -> None:
     turned = [np.cos(np.pi / 6), np.sin(np.pi / 6), 0]
     np.testing.assert_allclose(np.abs(found["part"] @ turned), 1)
     np.testing.assert_allclose(np.abs(found["bed"] @ [1, 0, 0]), 1)
+
+
+def test_a_volume_in_another_unit_is_refused(tmp_path: Path) -> None:
+    """A part of 6 mm, and a file of 6 µm around its corner: its numbers are metres."""
+    header = {"space dimension": 3, "space directions": np.eye(3) * 1e-3, "space origin": list(MINIMUM)}
+    content = nrrd_file(np.random.default_rng(2).random((5, 4, 6)), tmp_path, **header)
+    with pytest.raises(JobError, match=r"tiny beside the part: its longest side is 0\.006 mm") as refused:
+        numbers(content, volume="a.nrrd")
+    assert "unit" in str(refused.value.hint)
+    assert numbers(content, volume="a.nrrd", placed="box").bounds[1] <= 1
+    metres = nrrd_file(np.random.default_rng(2).random((5, 4, 6)), tmp_path, spacings=[1e-3] * 3, units=["m"] * 3)
+    assert at(numbers(metres, volume="a.nrrd", placed="file")).max() <= 1
+
+
+@pytest.mark.parametrize("which", [1, 2, 3])
+def test_tensors_that_are_the_same_all_around_are_x(which: int) -> None:
+    """As those of mesh_data; a thousandth of a difference is a direction again."""
+    a = np.zeros((3, 4, 5, 6))
+    a[..., :3] = -3.0
+    x_axis = np.tile([1.0, 0, 0], (len(POINTS), 1))
+    assert lines_apart(directions(a, principal=which).normals(*POINTS.T), x_axis).max() == 0
+    a[..., :3] *= 1 + 1e-3 * np.array([-1, 0, 1])  # the largest is then xx
+    expected = np.tile(np.eye(3)[which - 1], (len(POINTS), 1))
+    assert lines_apart(directions(a, principal=which).normals(*POINTS.T), expected).max() < 1e-3

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import contextlib
 import gzip
 import io
 import struct
@@ -737,3 +738,72 @@ def test_vti_arrays() -> None:
     for wrong in ((blocks, BLOCK - 1, 0), (2**31, BLOCK, 0)):
         changed = bomb.replace(struct.pack("<III", blocks, BLOCK, 27_000 % BLOCK), struct.pack("<III", *wrong))
         refused(changed, "a.vti", "declares .* bytes of samples|cut short")
+
+
+def strips(a: Array, rows: int, padded: int) -> bytes:
+    """A TIFF file of (z, y, x) bytes by hand: strips one after another, each of so many bytes more than it needs."""
+    content, ends = bytearray(b"II*\0\0\0\0\0"), 4
+    for page in a:
+        pieces = [page[i : i + rows].tobytes() + b"\xff" * padded for i in range(0, len(page), rows)]
+        start = len(content)
+        content += b"".join(pieces)
+        starts = np.cumsum([start, *map(len, pieces)])[:-1].astype("<u4").tobytes()
+        counts = np.array([*map(len, pieces)], "<u4").tobytes()
+        tags = {256: page.shape[1], 257: len(page), 258: 8, 259: 1, 262: 1, 277: 1, 278: rows}
+        at = {273: len(content), 279: len(content) + len(starts)}
+        content += starts + counts
+        content += bytes(len(content) % 2)
+        content[ends : ends + 4] = struct.pack("<I", len(content))
+        content += struct.pack("<H", len(tags) + 2)
+        for tag in sorted([*tags, *at]):
+            number = len(pieces) if tag in at else 1
+            content += struct.pack("<HHII", tag, 4, number, at.get(tag, tags.get(tag, 0)))
+        ends = len(content)
+        content += bytes(4)
+    return bytes(content)
+
+
+@pytest.mark.parametrize("padded", [0, 3])
+def test_tiff_strips_that_are_padded(padded: int) -> None:
+    """What a strip has beyond its rows belongs to no picture."""
+    a = samples("u1", (3, 7, 5))
+    agree(read(strips(a, 2, padded), "a.tif").array, a)
+    refused(strips(a, 2, padded)[:40], "a.tif", "cut short|cannot be read")
+
+
+@pytest.mark.parametrize("settings", [{}, {"rowsperstrip": 3}, {"predictor": 2}, {"tile": (16, 16)}])
+@pytest.mark.parametrize("planes", [3, 4])
+def test_tiff_as_the_hint_says_to_write_it(planes: int, settings: dict[str, Any]) -> None:
+    """tifffile takes 3 or 4 planes of bytes for colours, each in a plane of its own, unless it is told otherwise."""
+    a = samples("u1", (planes, 17, 20))
+    stream = io.BytesIO()
+    tifffile.imwrite(stream, a, compression="zlib", photometric="rgb", planarconfig="separate", **settings)
+    agree(read(stream.getvalue(), "a.tif").array, a)
+
+
+def test_tiff_refusals_are_the_only_lines(capfd: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture) -> None:
+    content = bytearray(tiff(samples("u1", (3, 17, 20)), compression="zlib", metadata=None))
+    for at in range(8, len(content), 7):
+        with contextlib.suppress(JobError):
+            read(bytes(content[:at]), "a.tif")
+        changed = bytearray(content)
+        changed[at] ^= 0xFF
+        with contextlib.suppress(JobError):
+            read(bytes(changed), "a.tif")
+    assert not caplog.records
+    assert capfd.readouterr() == ("", "")
+
+
+def test_nrrd_units_of_axes(tmp_path: Path) -> None:
+    """Spacings have units of their own axes: 2 mm are 0.002 m."""
+    a, spacings = samples(), [2e-3, 1e-3, 4e-3]
+    found = read(nrrd_file(a, tmp_path, spacings=spacings, units=["m", "m", "m"]), "a.nrrd")
+    assert found.spacing_mm == pytest.approx((2, 1, 4))
+    unknown = nrrd_file(a, tmp_path, spacings=spacings, units=["???", "", "none"])
+    assert read(unknown, "a.nrrd").spacing_mm == pytest.approx(spacings)
+    refused(nrrd_file(a, tmp_path, spacings=spacings, units=["m", "mm", "m"]), "a.nrrd", "units m, mm")
+    refused(nrrd_file(a, tmp_path, spacings=spacings, units=["s", "s", "s"]), "a.nrrd", "units s")
+    vectors = samples("f4", (*SHAPE, 3))
+    kinds = ["vector", "domain", "domain", "domain"]
+    header = {"spacings": [float("nan"), *spacings], "units": ["N", "m", "m", "m"], "kinds": kinds}
+    assert read(nrrd_file(vectors, tmp_path, **header), "a.nrrd").spacing_mm == pytest.approx((2, 1, 4))

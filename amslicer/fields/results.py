@@ -143,7 +143,7 @@ def _read_apart(data: bytes, name: str, suffix: str, array: str) -> Any:
         path = folder / f"results.{suffix}"
         path.write_bytes(data)
         why = _run_reader(path, READERS[suffix], array, len(data))
-        report = {"error": why} if why else json.loads((folder / REPORT).read_text(encoding="utf-8"))
+        report: dict[str, Any] = {"error": why} if why else json.loads((folder / REPORT).read_text(encoding="utf-8"))
         if "refused" in report:
             raise JobError(f"'{name}' {report['refused']}", hint=CONVERT)
         if "error" in report:

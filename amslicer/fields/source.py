@@ -175,14 +175,19 @@ class Inputs:
     maps: dict[str, Mapped] = field(default_factory=dict)
     digests: dict[str, str] = field(default_factory=dict)
 
-    def digest(self, name: str) -> str:
+    def digest(self, name: str, content: memoryview | None = None) -> str:
         """BLAKE2 of a field file's bytes, 64 hexadecimal digits: of large files three times as fast as SHA-256.
+
+        Args:
+            content: the bytes, if they are at hand.
 
         Raises:
             JobError: as map.
         """
         if name not in self.digests:
-            self.digests[name] = hashlib.blake2b(self.map(name), digest_size=32).hexdigest()
+            self.digests[name] = hashlib.blake2b(
+                self.map(name) if content is None else content, digest_size=32
+            ).hexdigest()
         return self.digests[name]
 
     def read(self, name: str) -> bytes:

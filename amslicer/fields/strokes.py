@@ -13,7 +13,8 @@ As an orientation, `comb` paints the laminate's normal along the path, or across
 angle elsewhere, degrees; strokes with values paint these angles. Directions are blended as lines.
 
 The field is made at nodes, at most a quarter of the narrowest fading apart, and is trilinear between. Where that would
-be more than two million nodes, they are farther apart, and edges are as blurred as these are; `grid_mm` says how far.
+be more than two million nodes, or half a minute's work, they are farther apart, and edges are as blurred as these are;
+`grid_mm` says how far.
 """
 
 from __future__ import annotations
@@ -41,6 +42,8 @@ if TYPE_CHECKING:
 MOST_STROKES, MOST_PLACES = 10_000, 100_000  # a few seconds of painting
 MOST_STROKE_NODES = 2_000_000  # a few seconds of painting, and 48 MB of directions
 NODES_PER_FADING = 4  # a smooth step by straight pieces: within 5 % (h²/8 of its largest second derivative)
+NODES_PER_RADIUS = 2  # at least, where finer ones would take too long
+MOST_SECONDS, COARSER = 30.0, 1.25  # of painting, by one core; how much farther apart nodes are then, step by step
 SHORTEST_MM = 1e-3  # shorter radii are mistakes
 DEFAULT_FALLOFF = 0.5
 COLUMNS = ("stroke", "x", "y", "z", "value", "radius")
@@ -296,13 +299,25 @@ class StrokesSource(Source):
     ) -> Nodes:
         varies = (True, True, not all(brush.flat for brush in brushes))
         size = frame.size_mm
+        painting = Painting(brushes, channels, base, comb)
         if self.grid_mm is not None:
-            spacing = asked_spacing(size, varies, self.grid_mm, "strokes")
+            spacing = coarsest = asked_spacing(size, varies, self.grid_mm, "strokes")
         else:
             narrowest = min(float(brush.radii.min()) * brush.falloff for brush in brushes) / NODES_PER_FADING
             wanted = min(narrowest, spacing_for(size, varies, MOST_NODES))
             spacing = max(wanted, spacing_for(size, varies, MOST_STROKE_NODES))
-        return Nodes(Painting(brushes, channels, base, comb).at, size, spacing, len(base), varies)
+            coarsest = min(float(brush.radii.min()) for brush in brushes) / NODES_PER_RADIUS
+        while (seconds := painting.seconds(size, spacing)) > MOST_SECONDS:
+            if spacing * COARSER > coarsest:
+                segments = sum(len(brush.segments[0]) for brush in brushes)
+                raise JobError(
+                    f"strokes of {segments} segments take about {seconds:.0f} s to paint on nodes {spacing:.3g} mm "
+                    f"apart; at most {MOST_SECONDS:g} s are spent",
+                    hint="give fewer places or smaller radii"
+                    + ("" if self.grid_mm is None else f", or a larger grid_mm than {self.grid_mm:g}"),
+                )
+            spacing *= COARSER
+        return Nodes(painting.at, size, spacing, len(base), varies)
 
 
 def _flat_tensors(degrees: Floats) -> Floats:
