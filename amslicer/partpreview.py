@@ -186,7 +186,7 @@ def painted_maps(prepared: Prepared, inside: NDArray[np.bool_]) -> Maps:
     points = np.column_stack([grid.x_mm()[column], grid.y_mm()[row], np.full(len(row), grid.z_mm(middle))])
     normals = np.zeros((*inside.shape, 3))
     normals[inside] = painted.normals(points)
-    ratios = painted.ratio_map(grid, middle)
+    ratios = painted.asked_map(grid, middle)
     others: dict[str, Floats] = {}
     for m, name in enumerate(painted.materials[1:-1], 1):
         others[f"ratio of {name}"] = np.where(inside, ratios[m] - ratios[m - 1], 0.0)

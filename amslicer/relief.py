@@ -21,6 +21,7 @@ section names in bed coordinates sees the part as it stands without a relief.
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -59,6 +60,8 @@ KEY = "displacement"
 # height, less than 3 %.
 SMOOTH_EDGES, JUMPING_EDGES = 12, 36
 LARGEST_SHARE = 0.5  # of the part's smallest side that the amplitude may be: beyond, opposite sides meet
+LEAST_LEFT = 0.1  # of the part's volume, engraved all over: less is walls that are gone
+MANY_VERTICES = 200_000  # take some seconds: someone may be waiting
 PULSE = "pwm"
 ROUNDING = 1e-9  # how far interpolation may leave 0…1
 SAMPLES = 1 << 14  # of a waveform, for its range
@@ -116,6 +119,9 @@ class Relief:
             JobError: a painted field is not usable somewhere, or the profile is none for this pattern.
         """
         heights = self._heights
+        count = len(self._surface.vertices)
+        if count > MANY_VERTICES and heights is None:
+            logging.getLogger(__name__).info("note: relief: the pattern is evaluated at %d vertices first …", count)
         if heights is None:
             heights = _raised(self._spec, self._of_pattern(painted, noise))
         vertices = self._surface.vertices + self._ways * heights[:, None]
@@ -181,10 +187,9 @@ def plan_relief(
     heights = None if spec.field is None else _raised(spec, _unit_field(f"{KEY}.field", spec.field, frame, job, places))
     reached = [_raised(spec, np.full(len(at), end)) for end in (0.0, 1.0)] if heights is None else [heights]
     ends = [surface.vertices + ways * height[:, None] for height in reached]
-    shell_mm3 = None
-    if heights is None:
-        none, full = (Surface(end, surface.triangles).volume_mm3 for end in ends)
-        shell_mm3 = abs(full - none)
+    volumes = [Surface(end, surface.triangles).volume_mm3 for end in ends]
+    _refuse_engraved_away(spec, min(volumes), surface.volume_mm3)
+    shell_mm3 = abs(volumes[1] - volumes[0]) if heights is None else None
     low, high = (extreme([extreme(end, axis=0) for end in ends], axis=0) for extreme in (np.min, np.max))
     return Relief(
         job, _around(placement, low, high, on_bed=job.spec.part.on_bed),
@@ -261,6 +266,16 @@ def _refuse_large(spec: Displacement, smallest_mm: float) -> None:
             f"{KEY}.amplitude_mm is {spec.amplitude_mm:g}, but the part's smallest side is {smallest_mm:.4g} mm; "
             f"its surface moves by half of that, {most:.4g} mm, at most",
             hint="use a smaller amplitude_mm, or check the part's units (--units)",
+        )
+
+
+def _refuse_engraved_away(spec: Displacement, left_mm3: float, plain_mm3: float) -> None:
+    """Walls thinner than what is engraved on both sides turn inside out, and count as less than nothing."""
+    if left_mm3 < LEAST_LEFT * plain_mm3:
+        raise JobError(
+            f"{KEY}.amplitude_mm is {spec.amplitude_mm:g}, which leaves {left_mm3:.3g} of the part's {plain_mm3:.4g} "
+            "mm³: its walls are thinner than that",
+            hint="use a smaller amplitude_mm, a positive one that adds ridges, or both_ways: true",
         )
 
 

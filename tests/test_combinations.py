@@ -24,6 +24,7 @@ from amslicer.fields.combination import mix_lines
 from amslicer.fields.source import Part
 from amslicer.jobfile import MOST_NESTED
 from amslicer.mesh import read_mesh
+from amslicer.pipeline import prepare
 from amslicer.placement import place
 from amslicer.schema import job_schema
 
@@ -338,7 +339,7 @@ def test_all_in_each_other(outer: str, inner: str, monkeypatch: pytest.MonkeyPat
     if outer != "blur":
         np.testing.assert_allclose(found, expected[outer](given), atol=1e-6)
     if outer in ("clip", "remap", "smooth") and inner == "blur":  # means of numbers are no angles
-        with pytest.raises(JobError, match="fields.orientation: a field by blur has means of its numbers"):
+        with pytest.raises(JobError, match=r"fields\.orientation: a field by blur has means of its numbers"):
             lines(field, frame)
     else:
         normals = lines(field, frame).normals(X, Y, Z)
@@ -347,6 +348,51 @@ def test_all_in_each_other(outer: str, inner: str, monkeypatch: pytest.MonkeyPat
     np.testing.assert_allclose(np.broadcast_to(sampler(field, moved).scalar(X, Y, Z), 400), found, atol=1e-6)
     some = np.broadcast_to(opened.scalar(*POINTS[7:9].T), 2)
     np.testing.assert_array_equal(some, found[7:9])
+
+
+def test_huge_numbers_are_not_mixed() -> None:
+    for field, key in ((mix(-1e308, 1e308, 0.5), "a"), (mix(0.0, along("x", 0, 2e9), 0.5), "b")):
+        with pytest.raises(JobError, match=rf"mix\.{key} has values from .* at most ±1e\+09 is mixed") as caught:
+            sampler(field)
+        assert caught.value.hint
+
+
+SAMPLED: dict[str, Any] = {
+    "points": {"points": [[0, 0, 179], [20, 0, 1]]},
+    "blur": {"blur": {"field": where(along("x"), 179, 1), "mm": 2}},
+    "strokes": {"strokes": [{"path": [[0, 0], [20, 0]], "radius": 60, "value": [179, 1]}], "base": 0},
+}
+
+
+@pytest.mark.parametrize("name", SAMPLED)
+def test_means_of_samples_are_no_azimuth_or_elevation(tmp_path: Path, name: str) -> None:
+    """179° and 1° would make 90°; as the whole orientation they make lines."""
+    for field in (SAMPLED[name], where(0.9, SAMPLED[name], 3), clip(mix(3, SAMPLED[name], 0.5), 0, 180)):
+        for key in ("azimuth", "elevation"):
+            box = parts.box(tmp_path, (20, 15, 10))
+            with pytest.raises(JobError, match=rf"fields\.orientation\.{key}: a field by {name} has means") as caught:
+                prepare(parts.job(box, orientation={key: field}, dimensions=3))
+            assert "nx,ny,nz" in str(caught.value.hint)
+    normals = lines(SAMPLED[name]).normals(X, Y, Z)
+    assert np.abs(normals[:, 1]).max() < np.sin(np.deg2rad(1.01))
+
+
+def test_masks_shares_and_nearest_points_may_lead_to_an_azimuth(tmp_path: Path) -> None:
+    box = parts.box(tmp_path, (20, 15, 10))
+    nearest = {"points": [[0, 0, 179], [20, 0, 1]], "method": "nearest"}
+    share = {"clip": {"field": {"points": [[0, 0, 0], [20, 0, 1]]}}}
+    for azimuth in (nearest, where(share, 179, 1), mix(10, 20, share), along("x", 0, 30)):
+        prepare(parts.job(box, orientation={"azimuth": azimuth}, dimensions=3))
+
+
+def test_a_share_in_bed_coordinates_is_refused_in_these(tmp_path: Path) -> None:
+    box = parts.box(tmp_path, (20, 15, 10))
+    field = mix(0, 1, along("x", 0, 2))
+    with pytest.raises(JobError, match="printer coordinates") as caught:
+        prepare(parts.job(box, ratio={**field, "frame": "bed"}))
+    assert "within: [0, 1]" in str(caught.value.hint)
+    with pytest.raises(JobError, match="file coordinates"):
+        prepare(parts.job(box, ratio=field))
 
 
 def test_a_field_within_may_be_in_bed_coordinates() -> None:
@@ -416,8 +462,8 @@ def refusal(tmp_path: Path, text: str) -> JobError:
         ("ratio: {remap: {field: 1, curve: [[0, 1], [0, 2]]}}", "must ascend, but 0 follows 0"),
         ("ratio: {remap: {field: 1, curve: [[0, 1], [5e-324, 2]]}}", "follows 0 too closely"),
         ("ratio: {remap: {field: 1, curve: [[0, 1], [1, 2], [1.0000000001, 2]]}}", "follows 1 too closely"),
-        ("ratio: {remap: {field: 1, curve: [[-1e308, 1], [1e308, 2]]}}", "has the number -1e.308; at most ±1e.09"),
-        ("ratio: {remap: {field: 1, curve: [[0, 1e308], [1, -1e308]]}}", "has the number 1e.308; at most ±1e.09"),
+        ("ratio: {remap: {field: 1, curve: [[-1e308, 1], [1e308, 2]]}}", "has the number -1e+308; at most ±1e+09"),
+        ("ratio: {remap: {field: 1, curve: [[0, 1e308], [1, -1e308]]}}", "has the number 1e+308; at most ±1e+09"),
         ("ratio: {remap: {field: 1, curve: [[0, 1], [1, x]]}}", "fields.ratio.remap.curve.1.1"),
         ("ratio: {remap: {field: 1, curve: [[0, 1], [1, 2]], smooth: 1}}", "fields.ratio.remap.smooth"),
         ("ratio: {blur: {field: 1, mm: 0}}", "fields.ratio.blur.mm"),

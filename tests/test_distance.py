@@ -271,3 +271,12 @@ def test_refusals(tmp_path: Path) -> None:
         open_field(source({"from": 0, "to": 1, "depth": 1}, from_faces="top"), cube, NOTHING)
     with pytest.raises(JobError, match="needs the part's mesh"):
         open_field(source({"from": 0, "to": 1, "depth": 1}), Frame(np.zeros(3), np.ones(3)), NOTHING)
+
+
+@pytest.mark.parametrize("grid_mm", [1e-300, 5e-324, 1e-3])
+def test_too_many_nodes_are_refused(tmp_path: Path, grid_mm: float) -> None:
+    cube = frame(tmp_path, meshes.octahedron())
+    for opening, what in ((open_field, {"from": 0, "to": 1, "depth": 1}), (open_orientation, "normal")):
+        with pytest.raises(JobError, match=r"a field by distance with grid_mm: .* nodes over the part") as caught:
+            opening(source(what, grid_mm=grid_mm), cube, NOTHING)
+        assert "try grid_mm" in str(caught.value.hint)

@@ -41,7 +41,8 @@ def test_rounding_to_single_precision_is_no_overshoot(bounds: tuple[float, float
     raster = NodesSampler(nodes, bounds).raster(x, y, z)
     assert raster is not None
     ends = np.array(bounds, np.float32)
-    assert ends[0] <= raster.texels.min() and raster.texels.max() <= ends[1]
+    assert ends[0] <= raster.texels.min()
+    assert raster.texels.max() <= ends[1]
 
 
 def test_points_at_many_heights_are_trilinear() -> None:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import colorsys
 import io
+import json
+import re
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -477,3 +479,36 @@ def test_verification_measures_what_was_painted(tmp_path: Path) -> None:
     assert report.ok
     assert error is not None
     assert error < 4
+
+
+UPRIGHT = {
+    "image": ({"image": "lines.png", "reads": "hue", "plane": "xz"}, ""),
+    "stack": ({"stack": {"0": "lines.png"}, "reads": "vector", "plane": "yz"}, ""),
+    "mix": ({"mix": {"a": 30, "b": {"image": "lines.png", "reads": "gradient", "plane": "yz"}, "by": 0.5}}, ".mix.b"),
+    "where": (
+        {"where": {"mask": 1, "above": 0.5, "then": {"image": "lines.png", "reads": "hue", "plane": "xz"}, "else": 0}},
+        ".where.then",
+    ),
+    "per body": ({"per_body": {"A": {"image": "lines.png", "reads": "hue", "plane": "xz"}}}, ".per_body.A"),
+}
+
+
+@pytest.mark.parametrize("name", UPRIGHT)
+def test_directions_out_of_the_plane_are_refused_in_2d(name: str, tmp_path: Path) -> None:
+    """As an elevation is: what leaves the layer would be flattened."""
+    orientation, path = UPRIGHT[name]
+    colours = np.random.default_rng(2).integers(0, 256, (6, 8, 3))
+    (tmp_path / "lines.png").write_bytes(png(colours))
+    part = parts.plate(tmp_path, 4, 4)
+    key = f"fields.orientation{path}.plane"
+    with pytest.raises(JobError, match=rf"line 1, column \d+: {re.escape(key)}: .*dimensions is 2") as refused:
+        parts.job(part, orientation=orientation)
+    assert "dimensions to 3" in str(refused.value.hint)
+    parts.job(part, orientation=orientation, dimensions=3)
+    flat = json.loads(re.sub('"plane": "[xyz]+"', '"plane": "xy"', json.dumps(orientation)))
+    parts.job(part, orientation=flat)
+
+
+def test_numbers_in_an_upright_plane_are_angles_in_2d(tmp_path: Path) -> None:
+    picture = parts.paint(tmp_path, np.arange(12, dtype=np.uint8).reshape(3, 4))
+    parts.job(parts.plate(tmp_path, 4, 4), orientation={"image": picture, "plane": "xz", "range": [0, 90]})

@@ -12,6 +12,7 @@ import meshes
 import numpy as np
 import parts
 import pytest
+import trimesh
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
@@ -370,3 +371,12 @@ def test_refused(tmp_path: Path, displacement: dict[str, Any], asked: dict[str, 
         prepare(job(part, displacement, **asked))
     assert isinstance(caught.value, JobError)
     assert math.isfinite(len(str(caught.value)))
+
+
+def test_walls_that_would_be_engraved_away_are_refused(tmp_path: Path) -> None:
+    """A tube of 0.4 mm, 0.5 mm engraved from both sides."""
+    part = parts.stl(tmp_path, meshes.from_trimesh(trimesh.creation.annulus(3, 3.4, 5)))
+    for displacement in ({"amplitude_mm": -0.5}, {"amplitude_mm": -0.5, "field": 1}):
+        job = parts.job(part, sections={"displacement": displacement})
+        with pytest.raises(JobError, match="its walls are thinner than that"):
+            parts.labels(job)

@@ -361,3 +361,11 @@ def test_long_work_is_done_on_coarser_nodes_or_refused() -> None:
     with pytest.raises(JobError, match="segments take about") as caught:
         nodes(scribble(60_000, False, 30))
     assert "fewer places" in str(caught.value.hint)
+
+
+@pytest.mark.parametrize(("name", "said"), [("MOST_PLACES", "4 places; at most 3"), ("MOST_STROKES", "4 strokes")])
+def test_tables_of_too_many_have_a_hint(name: str, said: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("amslicer.fields.strokes." + name, 3)
+    with pytest.raises(JobError, match=said) as caught:
+        opened("s.csv", content="stroke,x,y,value,radius\n1,2,3,4,1\n2,2,3,4,1\n3,1,3,4,1\n4,1,3,4,1\n", base=0)
+    assert caught.value.hint

@@ -66,3 +66,9 @@ def test_it_refuses_too_many_rows(monkeypatch: pytest.MonkeyPatch) -> None:
     assert len(read_table(rows, "a.csv", KNOWN).lines) == 3
     with pytest.raises(JobError, match=r"more than 3 rows .line 5"):
         read_table(rows + b"1,2,3\n", "a.csv", KNOWN)
+
+
+def test_every_refusal_of_a_quote_has_a_hint() -> None:
+    with pytest.raises(JobError, match="cannot be read in line 2") as caught:
+        read_table(b'x,y,value\n1,"2,3\n', "t.csv", ("x", "y", "value"))
+    assert "quotes" in str(caught.value.hint)

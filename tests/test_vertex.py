@@ -6,6 +6,7 @@ import colorsys
 import json
 import struct
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -467,3 +468,42 @@ def test_sparse_accessors_are_refused(tmp_path: Path) -> None:
 def test_wrong_settings(wrong: dict[str, Any], message: str) -> None:
     with pytest.raises(ValidationError, match=message):
         VertexSource.model_validate(wrong)
+
+
+@pytest.mark.parametrize("grid_mm", [1e-300, 5e-324, 1e-4])
+def test_too_many_nodes_are_refused(tmp_path: Path, grid_mm: float) -> None:
+    solid = fine_box(1)
+    box = ply(tmp_path / "part.ply", solid, angle=linear(solid[0]))
+    for opening in (open_field, open_orientation):
+        with pytest.raises(JobError, match=r"a field by vertex with grid_mm: .* nodes over the part"):
+            opening(VertexSource(vertex="angle", grid_mm=grid_mm), box, NOTHING)
+
+
+@pytest.mark.parametrize("count", [5, 20])
+def test_attributes_of_another_length_are_refused(tmp_path: Path, count: int) -> None:
+    """The accessor says so: the values are there, and not those of the vertices."""
+    values = np.arange(20, dtype=np.float32)
+    mesh = trimesh.Trimesh(*fine_box(0), process=False, vertex_attributes={"_warm": values[:8]})
+    data = bytes(mesh.export(file_type="glb"))
+    (length,) = struct.unpack_from("<I", data, 12)
+    header, binary = json.loads(data[20 : 20 + length]), data[28 + length :]
+    accessor = header["accessors"][header["meshes"][0]["primitives"][0]["attributes"]["_warm"]]
+    header["bufferViews"].append({"buffer": 0, "byteOffset": len(binary), "byteLength": values.nbytes})
+    accessor |= {"bufferView": len(header["bufferViews"]) - 1, "byteOffset": 0, "count": count}
+    binary += values.tobytes()
+    header["buffers"][0]["byteLength"] = len(binary)
+    text = json.dumps(header).encode()
+    text = text.ljust(-(-len(text) // 4) * 4)
+    head = struct.pack("<3I", 0x46546C67, 2, 28 + len(text) + len(binary)) + struct.pack("<2I", len(text), 0x4E4F534A)
+    whole = head + text + struct.pack("<2I", len(binary), 0x004E4942) + binary
+    box = write(tmp_path / "part.glb", whole)
+    refused(box, f"8 vertices, but {count} values of '_warm'", vertex="_warm")
+
+
+def test_a_part_painted_on_is_read_once_for_several_fields(tmp_path: Path) -> None:
+    solid = fine_box(1)
+    box = ply(tmp_path / "part.ply", solid, angle=linear(solid[0]))
+    part = box.part("vertex")
+    same = replace(box, load_part=lambda: part)
+    one, two = (open_field(VertexSource(vertex="angle"), same, NOTHING) for _ in range(2))
+    assert one.painted is two.painted  # type: ignore[attr-defined]

@@ -742,22 +742,21 @@ def test_vti_arrays() -> None:
 
 def strips(a: Array, rows: int, padded: int) -> bytes:
     """A TIFF file of (z, y, x) bytes by hand: strips one after another, each of so many bytes more than it needs."""
-    content, ends = bytearray(b"II*\0\0\0\0\0"), 4
-    for page in a:
-        pieces = [page[i : i + rows].tobytes() + b"\xff" * padded for i in range(0, len(page), rows)]
-        start = len(content)
-        content += b"".join(pieces)
-        starts = np.cumsum([start, *map(len, pieces)])[:-1].astype("<u4").tobytes()
-        counts = np.array([*map(len, pieces)], "<u4").tobytes()
-        tags = {256: page.shape[1], 257: len(page), 258: 8, 259: 1, 262: 1, 277: 1, 278: rows}
-        at = {273: len(content), 279: len(content) + len(starts)}
-        content += starts + counts
+    pages = [[page[i : i + rows].tobytes() + b"\xff" * padded for i in range(0, len(page), rows)] for page in a]
+    content = bytearray(b"II*\0\0\0\0\0" + b"".join(piece for pieces in pages for piece in pieces))
+    ends, start = 4, 8
+    for pieces in pages:
+        lengths = np.array([*map(len, pieces)], "<u4")
+        starts = (start + np.cumsum(lengths) - lengths).astype("<u4")
+        start += int(lengths.sum())
+        at = {273: len(content), 279: len(content) + starts.nbytes}
+        content += starts.tobytes() + lengths.tobytes()
         content += bytes(len(content) % 2)
         content[ends : ends + 4] = struct.pack("<I", len(content))
-        content += struct.pack("<H", len(tags) + 2)
-        for tag in sorted([*tags, *at]):
-            number = len(pieces) if tag in at else 1
-            content += struct.pack("<HHII", tag, 4, number, at.get(tag, tags.get(tag, 0)))
+        tags = {256: a.shape[2], 257: a.shape[1], 258: 8, 259: 1, 262: 1, 277: 1, 278: rows, **at}
+        content += struct.pack("<H", len(tags))
+        for tag in sorted(tags):
+            content += struct.pack("<HHII", tag, 4, len(pieces) if tag in at else 1, tags[tag])
         ends = len(content)
         content += bytes(4)
     return bytes(content)

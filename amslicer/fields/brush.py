@@ -23,8 +23,9 @@ SMOOTH = 1e-3  # of the radius, or of the values' range: how far a path that is 
 # a path's own corner (a square's diagonal is 0.41 farther than its sides) decides wherever two sides would draw.
 CLOSENESS = 0.5
 BLOCK_COLUMNS, MOST_BLOCKS = 96, 32  # of nodes along x: more than most brushes reach, few beside them
-# A core's time for a segment in a plane of nodes and for each node in its box, measured; combing looks twice, wider.
-SEGMENT_SECONDS, NODE_SECONDS, COMBED_TIMES = 5e-5, 6e-8, 4.0
+# Seconds for a segment in a block of nodes and for each node in its box, measured; combing looks again, at a wider
+# box and at corners too.
+SEGMENT_SECONDS, NODE_SECONDS, COMBED_TIMES = 2e-4, 4e-8, 7.0
 STEEP = 1e-6  # sine from the vertical below which a path has no direction across
 
 
@@ -202,7 +203,8 @@ class Painting:
             low, high = np.clip(low, 0.0, size_mm), np.clip(high, 0.0, size_mm)
             rows = np.where((high > low) | (size_mm == 0), (high - low) / spacing_mm + 1, 0.0)
             planes = (rows[:, 2] if not brush.flat else np.ones(len(rows))) * (rows[:, 0] > 0) * (rows[:, 1] > 0)
-            total += float((planes * (SEGMENT_SECONDS + NODE_SECONDS * rows[:, 0] * rows[:, 1])).sum())
+            blocks = 1 + rows[:, 0] / BLOCK_COLUMNS
+            total += float((planes * (SEGMENT_SECONDS * blocks + NODE_SECONDS * rows[:, 0] * rows[:, 1])).sum())
         return total * (COMBED_TIMES if self.comb else 1.0)
 
 

@@ -87,10 +87,10 @@ class Nodes:
         steps = np.flatnonzero(np.diff(p0[order], prepend=-1))
         for first, end in pairwise([*steps.tolist(), len(order)]):
             for some in (order[k : min(k + AT_ONCE, end)] for k in range(first, end, AT_ONCE)):
-                low, high = self._plane(int(p0[some[0]])), self._plane(int(p1[some[0]]))
+                below, above = self._plane(int(p0[some[0]])), self._plane(int(p1[some[0]]))
                 # Along z first, as above: a point's value is the same whoever is asked with it.
                 a, b, c, d = (
-                    _lerp(low[:, r, c].astype(np.float64), high[:, r, c], fz[some])
+                    _lerp(below[:, r, c].astype(np.float64), above[:, r, c], fz[some])
                     for r, c in product((r0[some], r1[some]), (c0[some], c1[some]))
                 )
                 out[:, some] = _lerp(_lerp(a, b, fx[some]), _lerp(c, d, fx[some]), fy[some])

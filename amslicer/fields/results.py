@@ -174,7 +174,11 @@ def _run_reader(path: Path, reader: str, array: str, size: int) -> str | None:
     command = [sys.executable, "-P", meshiochild.__file__, str(path), reader, array]
     command += [str(MOST_MEMORY + MEMORY_PER_BYTE * size), str(seconds)]
     # One thread: each would take address space, which is what is limited.
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path)), "OPENBLAS_NUM_THREADS": "1"}
+    environment = {
+        **os.environ,
+        "PYTHONPATH": os.pathsep.join(map(os.path.abspath, filter(None, sys.path))),
+        "OPENBLAS_NUM_THREADS": "1",
+    }
     try:
         done = subprocess.run(
             command, env=environment, cwd=path.parent, timeout=WAITING * seconds, check=False,
