@@ -74,6 +74,12 @@ class BodyIndex:
         grid = self.grid
         return self._dense(layer, 0, grid.rows)[:, : grid.columns]
 
+    def everywhere(self, layer: int) -> Numbers:
+        """As labels, with the next body, about, where there is none: of a surface that was moved since."""
+        grid, found = self.grid, self.labels(layer)
+        nearest = self._next(grid.x_mm()[None, :], grid.y_mm()[:, None], np.asarray(grid.z_mm(layer)))
+        return cast("Numbers", np.where(found == NO_BODY, nearest, found))
+
     def at(self, x: Floats, y: Floats, z: Floats) -> Numbers:
         """Body of places, by the pixel that they are in; of those in no body the one that is next to it, about.
 
@@ -252,9 +258,12 @@ def _placed(mesh: Mesh, placement: Placement) -> Floats:
 
 
 def own_materials(
-    job: Job, mesh: Mesh, placement: Placement, grid: Grid
+    job: Job, mesh: Mesh, placement: Placement, grid: Grid, *, moved: bool = False
 ) -> tuple[Callable[[int], Numbers], tuple[int, ...]]:
     """Bodies with materials of their own, as the job file's `bodies` says.
+
+    Args:
+        moved: whether the part's surface is not the mesh's: what was raised belongs to the body next to it.
 
     Returns:
         (rows, columns) body of each pixel of a layer, NO_BODY outside; and per body the number of its material from 1
@@ -267,4 +276,6 @@ def own_materials(
     find_bodies(mesh).numbers(list(asked), "bodies")
     index = body_index(mesh, placement, grid, {name: body.priority for name, body in asked.items()})
     materials = [asked[name].material if name in asked else None for name in index.bodies.names]
-    return index.labels, tuple(0 if name is None else job.materials.index(name) + 1 for name in materials)
+    return index.everywhere if moved else index.labels, tuple(
+        0 if name is None else job.materials.index(name) + 1 for name in materials
+    )

@@ -164,11 +164,11 @@ def prepare(job: Job) -> Prepared:
         moved = relief.moved(painted, noise)
         vertices, triangles, rim = moved.surface.vertices, moved.surface.triangles, moved.rim
     slicer = make_slicer(vertices, triangles, grid, find_holes(rim, vertices, grid))
-    painted = replace(painted, regions=_regions(job, mesh, placement, grid, slicer))
+    painted = replace(painted, regions=_regions(job, mesh, placement, grid, slicer, moved=moved is not None))
     return Prepared(job, mesh, placement, grid, tiling, lattice, slicer, painted, moved)
 
 
-def _regions(job: Job, mesh: Mesh, placement: Placement, grid: Grid, slicer: Slicer) -> Regions | None:
+def _regions(job: Job, mesh: Mesh, placement: Placement, grid: Grid, slicer: Slicer, *, moved: bool) -> Regions | None:
     """What skins and bodies with materials of their own take from the pattern; None where there are none."""
     spec, names = job.spec, job.materials
     if spec.skin is None and not spec.bodies:
@@ -183,7 +183,7 @@ def _regions(job: Job, mesh: Mesh, placement: Placement, grid: Grid, slicer: Sli
     if spec.bodies:
         from amslicer.bodies import own_materials
 
-        labels, own = own_materials(job, mesh, placement, grid)
+        labels, own = own_materials(job, mesh, placement, grid, moved=moved)
     void = names.index(VOID) + 1 if VOID in names else 0
     return Regions(slicer, grid, labels, own, void, skin)
 

@@ -168,6 +168,16 @@ def test_groups_that_are_parts_of_a_surface_are_no_bodies(tmp_path: Path) -> Non
         find_bodies(written(tmp_path, groups.replace(b"g ", b"o "), "obj"))
 
 
+@pytest.mark.parametrize("suffix", ["glb", "3mf"])
+def test_named_objects_that_are_no_solids_are_refused(tmp_path: Path, suffix: str) -> None:
+    vertices, triangles = LEFT
+    named = [("lid", (vertices, triangles[:2])), ("rest", (vertices, triangles[2:])), ("whole", RIGHT)]
+    mesh = written(tmp_path, (glb if suffix == "glb" else threemf)(named), suffix)
+    with pytest.raises(JobError, match="'lid', 'rest' are objects of the file, but only part") as caught:
+        find_bodies(mesh)
+    assert caught.value.hint
+
+
 def test_objects_of_an_open_mesh_may_be_open_where_it_is(tmp_path: Path) -> None:
     content = faces_obj([("o a", quad_box(0, 0)[0], quad_box(0, 0)[1][1:]), ("o b", *quad_box(10, 0))])
     (tmp_path / "open.obj").write_bytes(content)

@@ -374,7 +374,7 @@ def test_means_of_samples_are_no_azimuth_or_elevation(tmp_path: Path, name: str)
                 prepare(parts.job(box, orientation={key: field}, dimensions=3))
             assert "nx,ny,nz" in str(caught.value.hint)
     normals = lines(SAMPLED[name]).normals(X, Y, Z)
-    assert np.abs(normals[:, 1]).max() < np.sin(np.deg2rad(1.01))
+    assert np.abs(normals[:, 1]).max() < np.sin(np.deg2rad(3))  # beyond the points a thin plate goes on
 
 
 def test_masks_shares_and_nearest_points_may_lead_to_an_azimuth(tmp_path: Path) -> None:

@@ -105,3 +105,17 @@ def test_refused(tmp_path: Path) -> None:
     with pytest.raises(JobError, match="the part has no body '3'") as raised:
         parts.labels(job)
     assert "'1', '2'" in str(raised.value.hint)
+
+
+def test_what_a_relief_raises_belongs_to_its_body(tmp_path: Path) -> None:
+    """Two boxes 2 mm apart, raised by 0.5 mm all over: each is of its own material to its new surface, or a cavity."""
+    apart = meshes.joined(meshes.box((3.0, 3.0, 2.0)), meshes.box((3.0, 3.0, 2.0), (5.0, 0.0, 0.0)))
+    raised = {"displacement": {"amplitude_mm": 0.5, "field": 1, "resolution_mm": 0.5}}
+    labels = sliced(
+        tmp_path, apart, materials=("a", "b", "void"), ratio={"a": 0.0, "b": "rest"},
+        bodies={"1": {"material": "a"}, "2": {"material": "void"}}, **raised,
+    )  # fmt: skip
+    assert labels.shape == (30, 40, 90)
+    assert np.count_nonzero(labels == 1) == pytest.approx(4 * 4 * 3 * 1000, rel=0.02)
+    assert not (labels == 2).any()
+    assert not labels[:, :, 45:].any()

@@ -25,7 +25,7 @@ from amslicer.errors import JobError
 from amslicer.fields.picturelines import LineTexels, PictureLines, read_lines
 from amslicer.fields.pictures import read_grey
 from amslicer.fields.rectangle import Outside, Rectangle
-from amslicer.fields.source import MOST_PLACE_MM, Frame, Inputs, Number, Range, Sampler, Source, blend
+from amslicer.fields.source import Frame, Inputs, Number, Range, Sampler, Source, blend, check_box
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -61,8 +61,8 @@ class Placed(Source):
         if box is not None and not (box[0] < box[2] and box[1] < box[3]):
             a, b = info.data.get("plane", "xy")
             raise ValueError(f"must be [{a}0, {b}0, {a}1, {b}1] with {a}0 < {a}1 and {b}0 < {b}1, but is {list(box)}")
-        if box is not None and any(abs(place) > MOST_PLACE_MM for place in box):
-            raise ValueError(f"must lie within ±{MOST_PLACE_MM:g} mm, but is {list(box)}")
+        if box is not None:
+            check_box(box[:2], box[2:])
         return box
 
     def rectangle(self, frame: Frame) -> Rectangle:

@@ -7,7 +7,7 @@ import math
 import mmap
 import os
 import stat
-from collections.abc import Callable, Hashable, Iterator, Mapping
+from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -46,8 +46,21 @@ Range = Annotated[tuple[Number, Number], AfterValidator(_has_width)]
 """Two values between which others lie: their difference does not overflow."""
 
 
-MOST_PLACE_MM = 1e9
-"""1000 km: no box is so far away, and differences of such numbers are still exact to a micrometre."""
+MOST_PLACE_MM, LEAST_SIDE_MM = 1e9, 1e-6
+"""No box is 1000 km away, and no side as short as a nanometre; such numbers differ by 1e-7 mm at least."""
+
+
+def check_box(low: Sequence[float], high: Sequence[float]) -> None:
+    """Whether a box in mm can be told from others.
+
+    Raises:
+        ValueError: it is too far away, or a side is too short.
+    """
+    if any(abs(place) > MOST_PLACE_MM for place in (*low, *high)):
+        raise ValueError(f"must lie within ±{MOST_PLACE_MM:g} mm, but is {[*low, *high]}")
+    if any(b - a < LEAST_SIDE_MM for a, b in zip(low, high, strict=True)):
+        raise ValueError(f"must have sides of {LEAST_SIDE_MM:g} mm at least, but is {[*low, *high]}")
+
 
 TINY_SHARE = 0.01
 """Of the part's size: a mesh or a volume that small is in another unit."""
@@ -188,6 +201,8 @@ class Inputs:
             self.digests[name] = hashlib.blake2b(
                 self.map(name) if content is None else content, digest_size=32
             ).hexdigest()
+        elif name in self.maps and self._changed_in_place(name):
+            raise self._changed(name)
         return self.digests[name]
 
     def read(self, name: str) -> bytes:
@@ -219,11 +234,24 @@ class Inputs:
                 view = memoryview(mmap.mmap(stream.fileno(), found.st_size, access=mmap.ACCESS_READ))
                 self.maps[name] = Mapped(view, state)
         if self.maps[name].state != state:
-            raise JobError(
-                f"the field file '{name}' changed while it was in use",
-                hint="run again, and leave the file alone until the run has ended",
-            )
+            raise self._changed(name)
         return self.maps[name].view
+
+    def _changed_in_place(self, name: str) -> bool:
+        """Whether a mapped file was written to; one that another took the place of stays as it was mapped."""
+        try:
+            found = (self.folder / name).stat()
+        except OSError:
+            return False
+        inode, *rest = self.maps[name].state
+        return found.st_ino == inode and [found.st_size, found.st_mtime_ns] != rest
+
+    @staticmethod
+    def _changed(name: str) -> JobError:
+        return JobError(
+            f"the field file '{name}' changed while it was in use",
+            hint="run again, and leave the file alone until the run has ended",
+        )
 
     @contextmanager
     def _opened(self, name: str) -> Iterator[BinaryIO]:

@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
 
-MOST_STROKES, MOST_PLACES = 10_000, 100_000  # a few seconds of painting
+MOST_STROKES, MOST_PLACES = 10_000, 100_000  # seconds of reading and simplifying; painting has MOST_SECONDS
 MOST_STROKE_NODES = 2_000_000  # a few seconds of painting, and 48 MB of directions
 NODES_PER_FADING = 4  # a smooth step by straight pieces: within 5 % (h²/8 of its largest second derivative)
 NODES_PER_RADIUS = 2  # at least, where finer ones would take too long

@@ -27,7 +27,7 @@ from pydantic import Field, model_validator
 from amslicer.errors import JobError
 from amslicer.fields.nodes import Nodes, lines_on_nodes
 from amslicer.fields.orientation import principal_lines, tensors_of, unit_vectors
-from amslicer.fields.source import Frame, Inputs, Number, Sampler, Source, blend
+from amslicer.fields.source import Frame, Inputs, Number, Range, Sampler, Source, blend
 from amslicer.fields.spacing import spacing_or_default
 
 if TYPE_CHECKING:
@@ -58,7 +58,7 @@ class VertexSource(Source):
     reads: Literal["value", "hue", "vector", "uv"] = Field(
         default="value", description="numbers; or directions: of hues, of three components, of texture coordinates"
     )
-    range: tuple[Number, Number] = Field(default=UNIT, description="values of 0 and 1, or of an integer's smallest "
+    range: Range = Field(default=UNIT, description="values of 0 and 1, or of an integer's smallest "
                                          "and largest")  # fmt: skip
     depth: Annotated[Number, Field(gt=0)] | None = Field(
         default=None,

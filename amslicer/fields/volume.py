@@ -23,7 +23,7 @@ from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from amslicer.errors import JobError
 from amslicer.fields.orientation import Angles, Lines, Orientation
-from amslicer.fields.source import MOST_PLACE_MM, TINY_SHARE, Frame, Inputs, Number, Range, Sampler, Source
+from amslicer.fields.source import TINY_SHARE, Frame, Inputs, Number, Range, Sampler, Source, check_box
 from amslicer.fields.voxels import (
     TENSOR_COMPONENTS,
     VECTOR_COMPONENTS,
@@ -75,8 +75,8 @@ class VolumeSource(Source):
     def _ordered(cls, box: Box | None, info: ValidationInfo) -> Box | None:
         if box is not None and not all(box[i] < box[i + 3] for i in range(3)):
             raise ValueError(f"must be [x0, y0, z0, x1, y1, z1] with x0 < x1, y0 < y1 and z0 < z1, but is {list(box)}")
-        if box is not None and any(abs(place) > MOST_PLACE_MM for place in box):
-            raise ValueError(f"must lie within ±{MOST_PLACE_MM:g} mm, but is {list(box)}")
+        if box is not None:
+            check_box(box[:3], box[3:])
         return box
 
     @model_validator(mode="after")

@@ -97,7 +97,8 @@ PAINTED: dict[str, dict[str, Any]] = {
     "gradient along z": {"ratio": {"gradient": {"axis": "z", "from": 0.2, "to": 0.4}}},
     "volume of 512³ at 16 bits": {"ratio": {"volume": "volume.npy", "range": [0.2, 0.4]}},
     "and a picture of 30 Mpx at 16 bits": {
-        "ratio": {"volume": "volume.npy", "range": [0.2, 0.4]}, "orientation": {"image": "angle.png", "range": [28, 32]},
+        "ratio": {"volume": "volume.npy", "range": [0.2, 0.4]},
+        "orientation": {"image": "angle.png", "range": [28, 32]},
     },
     "formula of x, y, z": {"ratio": {"expression": "0.3 + 0.1*sin(x/5)*cos(y/7 + z)"}},
     "depth below the skin": {"ratio": {"distance": {"from": 0.2, "to": 0.4, "depth": 4}}},
@@ -134,7 +135,8 @@ def painted(name: str) -> dict[str, Any]:
         with tempfile.TemporaryDirectory() as out:
             started = time.perf_counter()
             done = subprocess.run(
-                [sys.executable, "-c", script.replace("OUT", repr(f"{out}/out"))], check=True, capture_output=True, text=True
+                [sys.executable, "-c", script.replace("OUT", repr(f"{out}/out"))],
+                check=True, capture_output=True, text=True,
             )  # fmt: skip
             seconds = time.perf_counter() - started
     return {"seconds": seconds, "peak_mb": float(done.stdout)}
