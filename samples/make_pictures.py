@@ -1,4 +1,4 @@
-"""Makes the README's pictures: each sample's painted fields beside layers of its laminate.
+"""Makes the README's pictures: each sample's painted fields beside layers of its laminate, and the example jobs.
 
 python samples/make_pictures.py
 """
@@ -6,25 +6,39 @@ python samples/make_pictures.py
 from __future__ import annotations
 
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
+import trimesh
 from PIL import Image, ImageDraw, ImageFont
 
 import amslicer
 from amslicer import Layer, Run
 from amslicer.pictures import BACKGROUND, INK, layer_picture
+from amslicer.pipeline import prepare
 
 SAMPLES = Path(__file__).resolve().parent
+EXAMPLES = SAMPLES.parent / "configs" / "examples"
 GAP, TEXT = 14, 24  # px between pictures, and for a line of text
 SHEET = 1180  # px: the width of a page
+COLUMNS = 4
+# Example jobs, what they show, and at which share of the height.
+SHOWN = (
+    ("expression", "formulas", 0.5), ("radial", "gradients around points", 0.5),
+    ("pictures", "heights, and a relief", 0.5), ("map", "a map of materials", 0.5),
+    ("volume", "numbers, and vectors", 0.5), ("stress", "a stress analysis", 0.5),
+    ("vertex", "colours of the part's vertices", 0.5), ("distance", "shells parallel to the skin", 0.5),
+    ("points", "scattered points", 0.5), ("strokes", "brush strokes", 0.5), ("mix", "fields of fields", 0.5),
+    ("bodies", "a field for each body", 0.5), ("texture", "grain of a picture", 0.5),
+    ("planes", "pictures from aside", 0.5),
+    ("cells", "cells", 0.5), ("relief", "a surface that the pattern moves", 0.5),
+)  # fmt: skip
 
 
 def layers_at(sample: str, shares: tuple[float, ...]) -> tuple[list[Layer], tuple[str, ...], tuple[float, float]]:
     """Layers at shares of the height, the materials' colours and the pitch."""
     folder = SAMPLES / sample
     job = amslicer.load_job(folder / "fields.yaml", folder / f"{sample}.stl")
-    from amslicer.pipeline import prepare
-
     count = prepare(job).grid.layers
     found = []
     for share in shares:
@@ -85,7 +99,30 @@ def insole() -> Image.Image:
     return stack_up(fields + pictures, places)
 
 
+def examples() -> Image.Image:
+    """A layer of each example job."""
+    width = (SHEET - (COLUMNS + 1) * GAP) // COLUMNS
+    tiles = []
+    with TemporaryDirectory() as folder:
+        box = Path(folder) / "part.stl"
+        trimesh.creation.box(bounds=[[-10, -10, 0], [10, 10, 5]]).export(box)
+        for name, shows, share in SHOWN:
+            file = EXAMPLES / f"{name}.yaml"
+            part = next((p for p in sorted(EXAMPLES.glob(f"{name}.*")) if p.suffix in (".ply", ".obj")), box)
+            job = amslicer.load_job(file, part)
+            index = round(share * (prepare(job).grid.layers - 1))
+            (layer,) = amslicer.layers(job, Run(layers=(index, index + 1)))
+            colors = tuple(m.color for m in job.spec.materials)
+            tile = layer_picture(layer, colors, job.spec.printer.pitch_mm)
+            tile.thumbnail((width, width), Image.Resampling.BOX)
+            tiles.append((tile, f"{name}: {shows}"))
+    step = width + TEXT + GAP
+    return stack_up(tiles, [(GAP + i % COLUMNS * (width + GAP), GAP + i // COLUMNS * step) for i in range(len(tiles))])
+
+
 if __name__ == "__main__":
+    sheet = examples().quantize(128, dither=Image.Dither.NONE)
+    sheet.save(SAMPLES / "fields.png", optimize=True)
     for name, make in (("cross_plate", cross_plate), ("insole", insole)):
         file = SAMPLES / name / "laminate.png"
         make().quantize(128, dither=Image.Dither.NONE).save(file, optimize=True)
